@@ -48,7 +48,7 @@ from lecombus.errors import LecombusError, LineClosedError, OperationError
 from lecombus.fieldbus.port import PortOpener
 from lecombus.fieldbus.protocols import find
 from lecombus.journal.journal import Journal
-from lecombus.journal.journal_file import KeyRow
+from lecombus.journal.kept import KeyRow
 from lecombus.line.devices import others_at
 from lecombus.line.event_loop import run as run_loop
 from lecombus.line.opening import open_port

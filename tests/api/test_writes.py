@@ -19,7 +19,8 @@ from lecombus.config import Mistake, RosterChanges, RosterError
 from lecombus.drives import StopAction
 from lecombus.errors import CodeValueError, NoReplyError, OperationError, QueueFullError
 from lecombus.journal.journal import Journal
-from lecombus.journal.journal_file import JournalFileError, KeyRow
+from lecombus.journal.journal_file import JournalFileError
+from lecombus.journal.kept import KeyRow
 from lecombus.operations.operation_reports import WriteReport
 from lecombus.schedule.request import Outcome, Priority
 from openapi.answer_models import GroupOutcomeDocument, OutcomeDocument, ReloadDocument

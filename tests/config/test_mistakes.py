@@ -251,7 +251,7 @@ def test_codes_that_move_a_drive_away_are_writable_when_asked_for_in_words() -> 
         ("mqtt: {host: 'a:1'}", "11:14"),
         ("journal: x.sqlite", "11:10"),
         ("journal: [x]", "11:10"),
-        ("journal: {max_size: 8MB}", "11:10"),
+        ("journal: {max_size: 32MB}", "11:10"),
         ("journal: {file: /j, max_size: 5}", "11:31"),
         ("journal: {file: /j, max_size: 200000GB}", "11:31"),
         ("journal: {file: /j, on_failure: stop}", "11:33"),

@@ -14,7 +14,8 @@ import pytest
 from lecombus.journal import journal as module
 from lecombus.journal.chain import Head, Row
 from lecombus.journal.journal import Journal
-from lecombus.journal.journal_file import JournalFile, JournalFileError, KeyRow
+from lecombus.journal.journal_file import JournalFile, JournalFileError
+from lecombus.journal.kept import KeyRow
 
 pytestmark = pytest.mark.clock
 
@@ -215,7 +216,8 @@ def test_a_full_disk_takes_what_is_vital_and_the_rest_later(
         intent = journal.intend("write", "a", {})
         await journal.committed(intent)
         full.set()
-        journal._thread.submit(journal._file.reserve, journal._tidied)
+        journal._file._has_reserve = False
+        journal._thread.submit(journal._file.tidy, journal._tidied)
         await until(lambda: "no room" in journal.trouble)
         journal.record("trip", "a")
         journal.conclude(intent, "done", {})

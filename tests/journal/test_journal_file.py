@@ -20,13 +20,8 @@ import pytest
 
 from lecombus.journal import reading
 from lecombus.journal.chain import ASKED, Head, Row
-from lecombus.journal.journal_file import (
-    APPLICATION_ID,
-    Fact,
-    JournalFile,
-    JournalFileError,
-    KeyRow,
-)
+from lecombus.journal.journal_file import APPLICATION_ID, JournalFile, JournalFileError
+from lecombus.journal.kept import Fact, KeyRow
 
 MOST = 16 * 1024 * 1024
 
@@ -121,6 +116,50 @@ def test_an_intent_without_an_end_is_unknown_after_the_next_start(path: Path) ->
         ]  # fmt: skip
         assert problem(file) == ""
         file.close()
+
+
+def test_an_opening_that_failed_half_way_is_made_good_later(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = opened(path)
+    file.write([row(1, "write", outcome=ASKED)], (), 1)
+    file.close()
+    file = JournalFile(path, MOST)
+    with monkeypatch.context() as full:
+
+        def fail(*_: object, **__: object) -> None:
+            raise apsw.FullError
+
+        full.setattr(JournalFile, "_insert", fail)
+        for _ in range(2):
+            with pytest.raises(JournalFileError, match="no room"):
+                file.open(1)
+    file.open(1)
+    assert columns(file, "intent, outcome") == [(None, "asked"), (1, "unknown")]
+    assert problem(file) == ""
+    file.close()
+
+
+def test_a_row_that_finds_no_room_lets_vital_ones_through(
+    file: JournalFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual = JournalFile._insert
+
+    def insert(self: JournalFile, db: Any, head: Head, row: Row, numbers: Any) -> Head:
+        if not row.is_vital:
+            raise apsw.FullError
+        return usual(self, db, head, row, numbers)
+
+    with monkeypatch.context() as full:
+        full.setattr(JournalFile, "_insert", insert)
+        rows = [row(1), row(2, "stop", is_vital=True)]
+        with pytest.raises(JournalFileError, match="no room"):
+            file.write(rows, (), 1)
+        assert not file.write(rows, (), 1)
+        assert columns(file, "kind") == [("stop",)]
+    assert file.tidy().trouble == ""
+    assert file.write(rows[:1], (), 1)
+    assert columns(file, "kind") == [("stop",), ("trip",)]
 
 
 def test_opening_again_in_one_run_ends_no_intent_that_is_under_way(file: JournalFile) -> None:
@@ -338,7 +377,7 @@ def test_a_full_disk_is_noticed_before_a_row_is_lost_and_has_room_for_stops(tmp_
         path = Path(sys.argv[1])
         file = JournalFile(path, 64 << 20)
         file.open(1)
-        file.reserve()
+        file.tidy()
 
         def rows(count, vital):
             return [Row("stop" if vital else "trip", "a", {"x": "y" * 200}, 1, is_vital=vital)

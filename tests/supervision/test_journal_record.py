@@ -12,7 +12,8 @@ from lecombus.config import parse_roster
 from lecombus.drives import StopAction, Verb
 from lecombus.errors import OperationError
 from lecombus.journal.chain import Row
-from lecombus.journal.journal_file import Fact, JournalFileError
+from lecombus.journal.journal_file import JournalFileError
+from lecombus.journal.kept import Fact
 from lecombus.operations.actions import ACTOR, Actor
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome

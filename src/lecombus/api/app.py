@@ -41,7 +41,7 @@ from lecombus.config import RosterChanges
 from lecombus.drive_state.store import Store
 from lecombus.errors import LecombusError
 from lecombus.journal.journal import Journal
-from lecombus.journal.journal_file import KeyRow
+from lecombus.journal.kept import KeyRow
 from lecombus.metrics import OPENMETRICS_TYPE, TEXT_TYPE, Metrics, wants_openmetrics
 from lecombus.operations.facade import Operations
 from lecombus.parameters import Json

@@ -38,7 +38,8 @@ from starlette.responses import Response
 from lecombus.api.answers import STATUS_BY_KIND, ProblemDocument, RefusedRequestError
 from lecombus.api.decimal_json import short
 from lecombus.journal.journal import Journal
-from lecombus.journal.journal_file import JournalFileError, KeyRow
+from lecombus.journal.journal_file import JournalFileError
+from lecombus.journal.kept import KeyRow
 from lecombus.operations.awaited_requests import CAME_S
 from lecombus.schedule.request import Outcome
 
@@ -61,8 +62,9 @@ ASKED_HEADER: Final = "Lecombus-Asked"
 ASKED_RIGHT: Final = re.compile(r"[0-9]{1,3}(\.[0-9]{1,6})?", re.ASCII)
 """Seconds; a client that has waited for longer has a person look first."""
 
-KEPT_BYTES: Final = 65536
-"""A longer response is not kept in the journal; none of a line with 90 drives is."""
+KEPT_BYTES: Final = 16384
+"""A longer response, of a group of some 30 drives, is not kept in the journal: a repeat after a
+restart is answered by `unknown` then. All keys together take less than half of the least file."""
 
 CLIENT_GONE: Final = STATUS_BY_KIND["client-gone"][0]
 

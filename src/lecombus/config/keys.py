@@ -213,7 +213,7 @@ _MQTT: Final = Table("mqtt", (
 _JOURNAL: Final = ShortTable("journal", (
     Key("file", AbsolutePath("/var/lib/lecombus/hall-3.sqlite"),
         "Its file, made where there is none.", required=True),
-    Key("max_size", Size(8, 100_000),
+    Key("max_size", Size(32, 100_000),
         "How large the file may become; then the oldest rows are deleted.", default="256MB"),
     Key("on_failure", Keyword(get_args(roster.OnJournalFailure)),
         "What happens to writes while the journal cannot be written: refuse, or go-on without it. "

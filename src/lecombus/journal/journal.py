@@ -26,7 +26,8 @@ import apsw
 from lecombus.journal import reading
 from lecombus.journal.chain import ASKED, Head, Row
 from lecombus.journal.file_thread import FileThread
-from lecombus.journal.journal_file import Fact, JournalFile, JournalFileError, KeyRow, Room
+from lecombus.journal.journal_file import JournalFile, JournalFileError, Room
+from lecombus.journal.kept import Fact, KeyRow
 from lecombus.journal.reading import StoredRow, Verified
 
 __all__ = ["Journal", "JournalFigures", "Verification"]
@@ -145,7 +146,7 @@ class Journal:
         else:
             journal.trouble = ""
             journal._look_at_file()
-            journal._thread.submit(journal._file.reserve, journal._tidied)
+            journal._thread.submit(journal._file.tidy, journal._tidied)
         return journal
 
     # ---- what happens ------------------------------------------------------------------------

@@ -26,9 +26,10 @@ from typing import Any, Final, TypeVar
 import apsw
 
 from lecombus.journal.chain import ASKED, FIRST_HASH, Head, Row, hash_of, json_of, one_line
+from lecombus.journal.kept import Fact, KeyRow, keep
 from lecombus.journal.reading import fact, head_in
 
-__all__ = ["Fact", "JournalFile", "JournalFileError", "KeyRow", "Room"]
+__all__ = ["JournalFile", "JournalFileError", "Room"]
 
 APPLICATION_ID: Final = 0x4C434A4C
 """`LCJL`, in the file's header."""
@@ -70,33 +71,6 @@ class JournalFileError(Exception):
     """The file cannot be used now; the text says why."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class KeyRow:
-    """What is kept of a request with an `Idempotency-Key`.
-
-    Args:
-        name: The key.
-        content: A digest of the request; empty: the key is forgotten.
-        status: The HTTP status of its answer; None: there is none yet.
-        type: The media type of the answer.
-        body: The answer.
-    """
-
-    name: str
-    content: bytes = b""
-    status: int | None = None
-    type: str = ""
-    body: bytes = b""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Fact:
-    """A text kept under a name, such as the roster that was last used."""
-
-    name: str
-    text: str
-
-
 @dataclass(frozen=True, slots=True)
 class Room:
     """How large a file is.
@@ -131,6 +105,7 @@ class JournalFile:
         self._files = 0
         self._is_damaged = False
         self._room_trouble = ""
+        self._has_reserve = False
         self._frames = 0
         self.head = Head()
         self.trouble = ""
@@ -154,17 +129,14 @@ class JournalFile:
             self._check_place()
             return
         self._check_regular()
-        with self._in_words():
-            try:
-                if self._is_damaged:
-                    raise apsw.CorruptError
-                self._open(now_ms)
-            except apsw.NotADBError:
-                self._refuse(NOT_OURS)
-            except apsw.CorruptError:
-                self.close()
-                self._set_aside()
-                self._open(now_ms)
+        known, files = self.head, self._files
+        try:
+            with self._in_words():
+                self._open_or_set_aside(now_ms)
+        except JournalFileError:
+            self.close()
+            self.head, self._files = known, files
+            raise
 
     def close(self) -> None:
         """Close it; it may be opened again."""
@@ -175,6 +147,18 @@ class JournalFile:
         if self._descriptor >= 0:  # not before: closing any descriptor of a file ends its locks
             os.close(self._descriptor)
             self._descriptor = -1
+
+    def _open_or_set_aside(self, now_ms: int) -> None:
+        try:
+            if self._is_damaged:
+                raise apsw.CorruptError
+            self._open(now_ms)
+        except apsw.NotADBError:
+            self._refuse(NOT_OURS)
+        except apsw.CorruptError:
+            self.close()
+            self._set_aside()
+            self._open(now_ms)
 
     def _open(self, now_ms: int) -> None:
         is_new = not self.path.exists()
@@ -203,6 +187,7 @@ class JournalFile:
         found = self.path.stat()
         self._inode = (found.st_dev, found.st_ino)
         self._take_up(db, now_ms, is_new=is_new)
+        self._has_reserve = False
 
     def _make(self, db: apsw.Connection) -> None:
         with db:
@@ -222,7 +207,7 @@ class JournalFile:
         found, why = Head(*last[0]) if last else anchor, ""
         if found != said:
             why = f"it ends at row {found.number}, and its end was row {said.number}"
-        elif found.number < known.number:
+        elif found.number < known.number or (found.number == known.number and found != known):
             why = f"it was replaced by another one while it was in use; its end was {known}"
         self.head = Head(max(found.number, said.number), found.hash)
         if is_first or is_new or why:
@@ -310,11 +295,17 @@ class JournalFile:
         else:
             chosen = wanted
         with self._in_words():
-            self._commit(chosen, others)
+            try:
+                self._commit(chosen, others)
+            except apsw.FullError:
+                self._room_trouble = self._room_trouble or f"there is no room for {self._path}"
+                raise
         return not self._room_trouble
 
     def tidy(self) -> Room:
         """Empty the WAL where it is long, and see to it that there is room.
+
+        After each opening the WAL is made as long as it will ever be.
 
         Raises:
             JournalFileError: The disk fails.
@@ -326,18 +317,6 @@ class JournalFile:
             if self._frames >= CHECKPOINT_FRAMES:
                 self._checkpoint(db)
             self._make_room(db)
-        return Room(self.size(), self._room_trouble)
-
-    def reserve(self) -> Room:
-        """Make the WAL as long as it will ever be; once, after opening.
-
-        Raises:
-            JournalFileError: The disk fails.
-        """
-        db = self._db
-        if db is not None:
-            with self._in_words():
-                self._try_to_grow(db)
         return Room(self.size(), self._room_trouble)
 
     def size(self) -> int:
@@ -392,7 +371,7 @@ class JournalFile:
         free, pages = db.pragma("freelist_count"), db.pragma("page_count")
         if pages - free > self._most_pages - RESERVE_PAGES:
             self._cut(db)
-        elif free < RESERVE_PAGES or self._room_trouble:
+        elif free < RESERVE_PAGES or self._room_trouble or not self._has_reserve:
             self._try_to_grow(db)
         elif pages > self._most_pages and free > 2 * RESERVE_PAGES:
             db.execute(f"PRAGMA incremental_vacuum({RESERVE_PAGES})").fetchall()
@@ -424,6 +403,7 @@ class JournalFile:
         with db:
             db.execute("DELETE FROM reserve")
         self._checkpoint(db)
+        self._has_reserve = True
 
     def _checkpoint(self, db: apsw.Connection) -> None:
         db.wal_checkpoint(mode=apsw.SQLITE_CHECKPOINT_PASSIVE)
@@ -477,17 +457,6 @@ class JournalFile:
         except OSError as exc:
             self.close()
             raise JournalFileError(f"{self._path} cannot be used: {exc.strerror}") from exc
-
-
-def keep(db: apsw.Connection, other: KeyRow | Fact) -> None:
-    """Write what is no row of the chain."""
-    if isinstance(other, Fact):
-        db.execute("INSERT OR REPLACE INTO facts VALUES (?1, ?2)", (other.name, other.text))
-    elif not other.content:
-        db.execute("DELETE FROM keys WHERE name = ?1", (other.name,))
-    else:
-        values = (other.name, other.content, other.status, other.type, other.body)
-        db.execute("INSERT OR REPLACE INTO keys VALUES (?1, ?2, ?3, ?4, ?5)", values)
 
 
 def bring_to_disk(folder: Path) -> None:

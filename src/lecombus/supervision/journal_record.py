@@ -20,7 +20,8 @@ from lecombus.drive_state.store import DriveChanged, Event, LineChanged, Store
 from lecombus.errors import OperationError
 from lecombus.journal.chain import Row
 from lecombus.journal.journal import Journal
-from lecombus.journal.journal_file import Fact, JournalFileError
+from lecombus.journal.journal_file import JournalFileError
+from lecombus.journal.kept import Fact
 from lecombus.operations.actions import ACTOR, Act
 from lecombus.operations.facade import Operations
 
