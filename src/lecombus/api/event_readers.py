@@ -1,9 +1,10 @@
 """Sends the events of a line to all who read along, and never makes the line wait for one of them.
 
 Strategy: one task writes to all readers (`EventReaders.run`); the tasks of their requests only wait
-for the end. It looks `ROUND_S` after it has looked last, so events that came together go out
-together, and readers at the same position with the same filter get the same bytes. After
-`READERS_AT_ONCE` readers it sleeps for `PAUSE_S`, in which telegrams are sent and taken.
+for the end. A round begins `ROUND_S` after the last has ended, or later if there are many readers,
+so events that came together go out together, and readers at the same position with the same filter
+get the same bytes. After `READERS_AT_ONCE` readers it sleeps for `PAUSE_S`, in which telegrams are
+sent and taken.
 
 Bytes are handed to the transport only when the kernel has taken all that went before. So a reader
 that takes nothing holds `BYTES_AT_ONCE` bytes here, and as much in the kernel. It is cut when it
@@ -50,6 +51,9 @@ TCP_READERS_LIMIT: Final = 8
 """Readers over TCP: half of the connections there, so that others get through."""
 
 ROUND_S: Final = 0.1
+ROUND_OF_READER_S: Final = 0.001
+"""So much for each reader, if that is more: hundreds get theirs less often, and more of it."""
+
 READERS_AT_ONCE: Final = 8
 """Readers written to before other tasks run: about a fifth of a millisecond."""
 
@@ -237,7 +241,7 @@ class EventReaders:
                     await self._look_in_pieces()
                 if not self._readers and self._clock() - self._left_s > KEPT_S:
                     self._stream.forget()
-                await anyio.sleep(ROUND_S)
+                await anyio.sleep(max(ROUND_S, ROUND_OF_READER_S * len(self._readers)))
         finally:
             self.close()
 

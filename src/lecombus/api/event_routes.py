@@ -124,5 +124,5 @@ class EventResponse(Response):
 
 
 def words_of(text: str) -> Sequence[str]:
-    """Return the words of a list with commas."""
-    return [word for word in (part.strip() for part in text.split(",")) if word]
+    """Return the words of a list with commas, each once: a client may send very many."""
+    return tuple(dict.fromkeys(word for part in text.split(",") if (word := part.strip())))
