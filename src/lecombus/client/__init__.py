@@ -8,7 +8,7 @@
         result = await feeder.write("C0046", 35.4, verify=True)
         result.check()                                    # raises unless done or verified
 
-Async, for asyncio or trio; needs httpx2 and anyio, and nothing of the daemon. docs/client.md
+Async, for asyncio; needs httpx2 and anyio, and nothing of the daemon. docs/client.md
 describes it; lecombus' own commands use it.
 """
 

@@ -76,7 +76,7 @@ class Reading:
         time: When it was read; None: never.
         age_s: Its age when the daemon answered, seconds; None: never read.
         text: What the value means, such as `quick stop`; empty where that is not described.
-        answer: The daemon's answer, where this is one of its own.
+        answer: The daemon's answer, where this reading is the whole of it.
     """
 
     drive: str

@@ -282,7 +282,7 @@ class Line:
         read: Callable[[Document, Answer | None], R],
         what: Mapping[str, Json],
     ) -> R:
-        """Have something done, and return how it ended, whatever happened to the answer.
+        """Have something done, and return how it ended, also if its answer was lost.
 
         Args:
             method: The HTTP method.
