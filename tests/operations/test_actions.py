@@ -119,9 +119,9 @@ def recorded(actions: Actions, monkeypatch: pytest.MonkeyPatch) -> Recorded:
         monkeypatch.setattr(
             OperationContext, "on_the_wire", lambda context, target, code, value: str(value)
         )
-        line, state = Mock(), Mock()
+        line, state = Mock(), Mock(lease_number=0)
         operations = Operations(
-            Mock(), Mock(), state, line, Mock(), Mock(), follow=Mock(), disturbances=Mock()
+            Mock(), Mock(), state, line, Mock(), lambda: 0.0, follow=Mock(), disturbances=Mock()
         )
         operations.actions = actions
         return operations
