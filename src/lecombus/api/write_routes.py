@@ -209,7 +209,8 @@ class WriteRoutes:
         """Read the roster again and apply it; answers what changed, or every mistake.
 
         A wrong roster is refused whole and the old one stays, as a remark on the line says until
-        a reload is good. Two reloads run one after the other. Unix socket only.
+        a reload is good. Two reloads run one after the other. Over TCP it needs a token with the
+        scope `write` for every drive.
         """
         refuse_query(request)
         _, raw = await read_body(request, NoKeysBody, may_be_empty=True)
