@@ -59,6 +59,14 @@ KEY: Final = {
     "description": "Makes a repeat safe; a new one per request",
 }
 
+ASKED: Final = {
+    "name": "Lecombus-Asked",
+    "in": "header",
+    "required": False,
+    "schema": {"type": "string", "pattern": "^[0-9]{1,3}(\\.[0-9]{1,6})?$"},
+    "description": "In a repeat with its Idempotency-Key: how long ago it was asked first, seconds",
+}
+
 LEASE_TOKEN: Final = {
     "name": "Lecombus-Lease",
     "in": "header",
@@ -232,7 +240,7 @@ def described_operation(
     if operation.query is not None:
         parameters += query_parameters(operation.query)
     if operation.body is not None and path != LEASE:
-        parameters.append(KEY)
+        parameters += [KEY, ASKED]
     if (path in TAKES_LEASE and method != "get") or (path, method) == (LEASE, "delete"):
         parameters.append(LEASE_TOKEN)
     if operation.stream:
