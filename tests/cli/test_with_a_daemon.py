@@ -103,6 +103,26 @@ def test_every_command_speaks_with_the_daemon(run: Run) -> None:
 
 
 @pytest.mark.usefixtures("daemon_of_all")
+def test_a_command_runs_with_a_lease_that_ends_with_it(run: Run) -> None:
+    lecombus = [sys.executable, "-m", "lecombus"]
+    words = ("lease", "service", "--on", "feeder", "--time", "2s", "--")
+    inside = run(*words, *lecombus, "write", "feeder", "C0046", "7.5")
+    assert inside.err == ""
+    assert (inside.status, inside.out.split("\t")[:3]) == (0, ["feeder", "C0046", "done"])
+    rows = run(*words, *lecombus, "leases")
+    [row] = [line.split("\t") for line in rows.out.splitlines()]
+    assert row[:3] == ["feeder", "free", "service"]
+    refused = f"import os, subprocess; del os.environ['LECOMBUS_LEASE']; raise SystemExit(" \
+        f"subprocess.call({[*lecombus, 'write', 'feeder', 'C0046', '7.5']!r}))"  # fmt: skip
+    other = run(*words, sys.executable, "-c", refused)
+    assert (other.status, "under the lease service" in other.err) == (4, True), other.err
+    assert run(*words, sys.executable, "-c", "raise SystemExit(7)").status == 7
+    assert run(*words, "/nowhere").status == 2
+    assert run("lease", "service", "--on", "feder", "--", "true").status == 2
+    assert run("leases").out == ""
+
+
+@pytest.mark.usefixtures("daemon_of_all")
 def test_what_the_daemon_refuses_has_the_status_that_fits(run: Run) -> None:
     assert run("read", "feedr", "C0050").status == 2
     assert "feeder" in run("read", "feedr", "C0050").err

@@ -21,7 +21,7 @@ FAMILIES = ("820x", "821x", "822x", "824x", "8200vector", "93xx", "smvector", "g
 COMMANDS = ("demo", "run", "check", "plan", "reload", "simulate", "read", "write", "group",
             "enable", "set-speed", "reset-fault", "quick-stop", "inhibit", "stop", "readdress",
             "rebaud", "wear", "accept", "forget-times", "describe", "backup", "diff", "restore",
-            "status", "leases", "events", "scan", "why")  # fmt: skip
+            "status", "lease", "leases", "events", "scan", "why")  # fmt: skip
 LINES = """\
 
 --version
@@ -45,6 +45,10 @@ plan --live --socket /nowhere.sock --json
 events --kind nonsense
 events --socket /nowhere.sock
 reload more
+lease
+lease service
+lease service --on feeder
+lease service --on feeder --socket /nowhere.sock -- true
 leases more
 leases --socket /nowhere.sock
 reload --socket /nowhere.sock

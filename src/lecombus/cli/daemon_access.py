@@ -8,6 +8,7 @@ kept as the text that came, so that `--json` prints decimals exactly as the daem
 
 from __future__ import annotations
 
+import os
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping
 from contextlib import asynccontextmanager, contextmanager
 from typing import Any, Final, TypeVar
@@ -16,7 +17,7 @@ import click
 
 from lecombus.cli.arguments import DaemonOptions
 from lecombus.cli.exits import CommandError, Exit
-from lecombus.client.connection import Json, finish, open_connection
+from lecombus.client.connection import LEASE_HEADER, Json, finish, open_connection
 from lecombus.client.documents import Answer
 from lecombus.client.errors import (
     AmbiguousDaemonError,
@@ -29,7 +30,20 @@ from lecombus.client.finding import find_daemon
 from lecombus.client.line import Line
 from lecombus.client.requests import path_of
 
-__all__ = ["act", "ask", "command_errors", "connected", "drive_path", "group_path", "show", "work"]
+__all__ = [
+    "LEASE_VARIABLE",
+    "act",
+    "ask",
+    "command_errors",
+    "connected",
+    "drive_path",
+    "group_path",
+    "show",
+    "work",
+]
+
+LEASE_VARIABLE: Final = "LECOMBUS_LEASE"
+"""Holds the token of a lease, which goes with everything that is asked."""
 
 REPEAT_FOR_S: Final = 2.0
 """A person waits for the command, and can repeat it."""
@@ -106,6 +120,9 @@ async def connected(daemon: DaemonOptions, *, blocking: bool = False) -> AsyncIt
             repeat_for_s=REPEAT_FOR_S,
             blocking=blocking,
         ) as connection:  # fmt: skip
+            token = os.environ.get(LEASE_VARIABLE, "")
+            if token.isascii() and token.isprintable() and token:
+                connection.http.headers[LEASE_HEADER] = token
             yield Line(connection)
 
 

@@ -56,6 +56,7 @@ COMMANDS: Final[Mapping[str, tuple[str, str]]] = {
     "diff": ("backup", "Show the differences of two backups or drives."),
     "restore": ("restore", "Write a backup back into a drive, after showing what that changes."),
     "status": ("status", "Show the line and its drives, or one drive with its values."),
+    "lease": ("leases", "Run a command with a lease of drives, for service."),
     "leases": ("leases", "Show who controls which drives, and what is latched."),
     "events": ("events", "Print what happens on the line, as it happens."),
     "journal": ("journal", "Show who did what to which drive, and what happened to them."),
