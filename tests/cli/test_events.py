@@ -45,6 +45,9 @@ EVENTS: list[tuple[str, dict[str, Any], str]] = [
                "reason": "belt does not answer", "by": {"who": "socket", "process": "ui"}},
      "stop inhibit: unknown, by ui: belt does not answer"),
     ("write", {"what": "kept-back", "count": 7}, "7 more were not shown"),
+    ("lease", {"what": "ended", "lease": "ui", "number": "7", "end": "lapsed",
+               "drives": ["feeder", "belt"]}, "ended ui (7) feeder, belt: lapsed"),
+    ("lease", {"what": "unlatched", "drives": ["feeder"]}, "unlatched feeder"),
     ("line", {"line": "hall", "state": "lost", "reason": "unplugged"}, "lost: unplugged"),
     ("gap", {"missed": 12, "reason": "r"}, "12 events are missing: r; `lecombus status` shows "
      "what is known"),

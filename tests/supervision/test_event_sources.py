@@ -258,6 +258,22 @@ def test_what_users_do_is_published_with_outcome_and_who_asked() -> None:
     reading(test)
 
 
+def test_a_lease_is_published_to_those_who_follow_its_drives() -> None:
+    async def test(plant: Plant, events: Reading) -> None:
+        plant.site.event_sources.lease_changed("ended", ("a",), {"lease": "ui", "end": "lapsed"})
+        (ended,) = events.new("lease")
+        assert (ended["what"], ended["drives"], ended["end"]) == ("ended", ["a"], "lapsed")
+        assert ended["time"].endswith("Z")
+        for name, count in (("a", 1), ("b", 0)):
+            wanted = EventFilter(frozenset({name}), frozenset({"lease"}))
+            frames, _ = events.stream.batch(
+                events.stream.first, wanted, until=events.stream.next, bytes_most=10**9
+            )
+            assert frames.count(b"event: lease") == count
+
+    reading(test)
+
+
 def test_no_password_is_published(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(OperationContext, "is_secret", lambda context, drive, code: code == TIME)
     monkeypatch.setattr(EventSources, "_is_secret", lambda sources, drive, code: code == TIME)

@@ -157,6 +157,14 @@ def write(data: Document) -> str:
     return f"{text}: {reason}" if reason else text
 
 
+def lease(data: Document) -> str:
+    """Say what happened to a lease, and to which drives."""
+    number = data.get("number") and f"({data['number']})"
+    why = data.get("end") or data.get("reason")
+    text = joined(data.get("what"), data.get("lease"), number, ", ".join(data.get("drives") or ()))
+    return f"{text}: {why}" if why else text
+
+
 def line(data: Document) -> str:
     """Say how the line is doing."""
     return ": ".join(filter(None, cells_of(data, "state", "reason")))
@@ -175,6 +183,7 @@ def joined(*words: object) -> str:
 
 
 WORDS: Final = {
-    "value": value, "state": state, "remark": remark, "trip": trip, "write": write, "line": line,
+    "value": value, "state": state, "remark": remark, "trip": trip, "write": write, "lease": lease,
+    "line": line,
     GAP: gap,
 }  # fmt: skip

@@ -136,7 +136,7 @@ class EventSources:
         if self._stream.is_recording:
             data: dict[str, Json] = {"what": what, "drives": list(drives)}
             data |= {key: text for key, text in fields.items() if text}
-            self._stream.publish("lease", "", data, drives)
+            self._publish("lease", "", data, drives)
 
     # -- the store ----------------------------------------------------------------------------
 
