@@ -303,3 +303,24 @@ def test_more_proof_of_a_stop_waits_for_feeds_though_its_drive_answers() -> None
     assert first is not None
     assert second is not None
     assert ({first.drive, second.drive}, third) == ({"b", "c"}, stop)
+
+
+def test_a_stop_that_came_later_goes_before_more_proof_and_before_feeds() -> None:
+    world = World().drives("a", "b", "c")
+    world.feed("b", 1.0)
+    world.feed("c", 1.0)
+    first = world.submit("a", P.STOP)
+
+    def wants_proof(request: Request, _answered: bool) -> bool:
+        if request is not first or first.attempts > 1:
+            return False
+        request.yields = True
+        world.schedule.again(request, world.now_s, world.now_s, behind=True)
+        return True
+
+    world.after = wants_proof
+    world.now_s = HARD_PART - WORST_S
+    assert world.step() is first
+    later = world.submit("b", P.STOP)
+    assert world.schedule.stop_goes(world.now_s)
+    assert world.step() is later

@@ -217,10 +217,11 @@ class Waiting:
         """Give a request that comes back a place ahead of its class, or behind what waits now.
 
         Behind goes a stop that was sent and has only to be proven: it must not keep the next
-        drive waiting for its own. A stop of a silent drive goes behind those of all others.
+        drive waiting for its own. A stop before which feeds may go, that of a silent drive or one
+        of which only more proof is wanted, goes behind all others, so that they wait for no feed.
         """
         request.latest_s = None
-        if request.priority is Priority.STOP and request.drive in self.silent:
+        if request.priority is Priority.STOP and self.yields(request):
             self._serial += 1
             request.place = _LAST + self._serial
         elif behind:
@@ -240,8 +241,8 @@ class Waiting:
             self.silent.discard(name)
         queue = self.queues[Priority.STOP]
         for request in self.listed(drive=name, stops=True):
-            if request.priority is not Priority.STOP or request.members:
-                continue
+            if request.priority is not Priority.STOP or request.members or request.yields:
+                continue  # what yields has its place behind all others already
             queued = request.state == QUEUED
             if queued:
                 queue.remove(request)
