@@ -218,7 +218,7 @@ class EventStream:
         return b"".join(frames), position
 
     def mark(self, position: int) -> bytes:
-        """Return what makes a reader remember a position without being told anything."""
+        """Return what makes a reader remember a position, without an event."""
         return f": \nid: {self._run}-{position - 1}\n\n".encode()
 
     def _gap(self, missed: int | None, reason: str) -> bytes:
