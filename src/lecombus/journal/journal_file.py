@@ -102,6 +102,7 @@ class JournalFile:
         self._db: apsw.Connection | None = None
         self._descriptor = -1
         self._inode = (0, 0)
+        self._names: tuple[Path, ...] = ()
         self._files = 0
         self._is_damaged = False
         self._room_trouble = ""
@@ -163,6 +164,7 @@ class JournalFile:
     def _open(self, now_ms: int) -> None:
         is_new = not self.path.exists()
         self._descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, MODE)
+        self._names = (self.path, self.path.with_name(f"{self.path.name}-wal"))
         db = self._db = apsw.Connection(str(self.path))
         db.pragma("locking_mode", "EXCLUSIVE")
         db.pragma("mmap_size", 0)
@@ -250,7 +252,7 @@ class JournalFile:
     def _check_place(self) -> None:
         """See that the file has not been removed or replaced since it was opened."""
         try:
-            found = self.path.stat()
+            found = self._path.stat()
             is_there = (found.st_dev, found.st_ino) == self._inode
         except OSError:
             is_there = False
@@ -321,8 +323,8 @@ class JournalFile:
 
     def size(self) -> int:
         """Return the size of the file and its WAL, bytes."""
-        path, total = self.path, 0
-        for name in (path, path.with_name(f"{path.name}-wal")):
+        total = 0
+        for name in self._names:
             with contextlib.suppress(OSError):
                 total += name.stat().st_size
         return total
