@@ -383,7 +383,7 @@ def test_another_drive_needs_its_own_word(run: Run, drive: Drive, tmp_path: Path
     drive.code("C1810", "Sanother")
     ran = run("restore", str(path), "feeder", "--yes")
     assert (ran.status, writes(drive)) == (2, [])
-    assert "with --to-other-drive, if it is meant for it" in ran.err
+    assert "add --to-other-drive if the backup is meant for this drive" in ran.err
     ran = run("restore", str(path), "feeder", "--dry-run", "--to-other-drive")
     assert (ran.status, "C1810" in ran.err) == (0, True)
 

@@ -1,4 +1,4 @@
-"""What each call needs: one table for all doors, and the guard that asks it.
+"""What each call needs: one table for the Unix socket and TCP, and the guard that asks it.
 
 Strategy: every route is wrapped by `guarded`; a route without a row in `NEEDS` is a mistake that
 ends the start, so no call is open because it was forgotten. The guard runs behind the router: what
@@ -183,7 +183,9 @@ def lease_token(request: Request) -> str:
     """
     found = request.headers.getlist(LEASE_HEADER)
     if len(found) > 1:
-        text = f"header {LEASE_HEADER} stands {len(found)} times: which token counts is open"
+        text = (
+            f"header {LEASE_HEADER} stands {len(found)} times: it is not clear which token to use"
+        )
         raise RefusedRequestError(
             ProblemDocument("doubled-header", text, remedy="send the header once")
         )

@@ -1,4 +1,4 @@
-"""A connection over TCP, which any program of any user on this machine may open.
+"""A connection over TCP, which any program on this machine may open, with tokens and TLS others.
 
 It differs from one over the Unix socket in five things:
 
@@ -11,11 +11,12 @@ It differs from one over the Unix socket in five things:
   take its answer, for `PATIENCE_S`;
 * it is closed in two steps (`LingeringTransport`), so that a client that still sends reads why.
 
-TCP answers reads to any program on this machine. A flood of requests there must not take the time
-in which the line is served. So all work for TCP clients begins piece by piece, one client after the
-other, and after a piece nothing begins until `1 / PART` times its processor time has passed. The
-time is that of this thread: while the machine runs something else it does not count. Steps of
-requests under way are measured as well (`TimedCoroutine`).
+Any program on this machine may ask over TCP, with tokens and TLS other machines too. A flood of
+requests there must not take the time in which the line is served. So all work for TCP clients
+begins piece by piece, one client after the other, and after a piece nothing begins until `1 / PART`
+times its processor time has passed. The time is that of this thread: while the machine runs
+something else it does not count. Steps of requests under way are measured as well
+(`TimedCoroutine`).
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ BAD_TOKEN: Final = ProblemDocument(
 )
 TWO_TOKENS: Final = ProblemDocument(
     "doubled-header",
-    "header Authorization stands more than once: which of the tokens counts is open",
+    "header Authorization stands more than once: it is not clear which token to use",
     remedy="send the header once",
     headers=CLOSE,
 )
@@ -192,7 +192,7 @@ class TokenAccess:
             return ProblemDocument(
                 "too-many-failures",
                 "too many requests without a valid token came from this address",
-                remedy="send a valid token: that is answered as always",
+                remedy="a request with a valid token is still answered",
                 headers={"Retry-After": str(math.ceil(wait_s)), **CLOSE},
             )
         return BAD_TOKEN if sent else NO_TOKEN

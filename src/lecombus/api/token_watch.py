@@ -78,7 +78,7 @@ class TokenWatch:
             tokens = await anyio.to_thread.run_sync(read_tokens, self._path, abandon_on_cancel=True)
         except OperationError as exc:
             logger.error("event=tokens-refused reason=%s", exc)
-            self._note(f"{exc}; those of before count ({exc.remedy})")
+            self._note(f"{exc}; the tokens that were read before stay valid ({exc.remedy})")
             return
         logger.info("event=tokens-read file=%s tokens=%d", self._path, len(tokens.entries))
         self._tokens = tokens

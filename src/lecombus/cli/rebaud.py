@@ -161,9 +161,13 @@ def _check_words(roster: Roster, old: int, new: int, *, generic: bool) -> None:
         raise CommandError(Exit.USAGE, problem, remedy)
     unknown = [one.name for one in roster.drives if one.family == "generic"]
     if unknown and not generic:
-        problem = f"it is not known how the baud rate of {', '.join(unknown)} (generic) is set"
+        problem = (
+            f"lecombus does not know how to set the baud rate of {', '.join(unknown)} (generic)"
+        )
         remedy = "with --generic-c0125, if C0125 has a 2102's numbers there (0: 9600 .. 4: 19200)"
-        raise CommandError(Exit.USAGE, f"{problem}, or whether it turns", remedy)
+        raise CommandError(
+            Exit.USAGE, f"{problem}, or how to see that its motor stands still", remedy
+        )
 
 
 def _check_held(roster: Roster, baud: int) -> None:

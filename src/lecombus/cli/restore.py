@@ -178,7 +178,7 @@ def check(options: RestoreOptions, seen: Seen) -> None:
     """
     if seen.plan.blockers:
         strange = options.backup.family is seen.plan.family and not options.other_drive
-        remedy = "with --to-other-drive, if it is meant for it" if strange else ""
+        remedy = "add --to-other-drive if the backup is meant for this drive" if strange else ""
         problems = [Problem(text, remedy, drive=options.drive) for text in seen.plan.blockers]
         raise CommandError.of(Exit.USAGE, *problems)
     if seen.rights.reason:
@@ -388,7 +388,7 @@ def show_result(plan: RestorePlan, result: Restored, drive: str, *, enabled: boo
         click.echo(f"{drive} is inhibited: enable it yourself, when it may move")
     elif result.inhibited_now is not True:
         is_not = "is not" if result.inhibited_now is False else "does not say whether it is"
-        click.echo(f"{drive} {is_not} inhibited now: take it for one that may start", err=True)
+        click.echo(f"{drive} {is_not} inhibited now: the motor may start", err=True)
 
 
 def show_interrupted(plan: RestorePlan, result: Restored, drive: str) -> None:

@@ -53,9 +53,9 @@ def _expiry(word: str) -> datetime:
             at = now + timedelta(seconds=parse_duration(word))
     except (DurationError, ValueError, OverflowError):
         right = "write a time such as 90d or 12h, or a day such as 2027-06-30"
-        raise click.BadParameter(f"`{word}` is no end, {right}") from None
+        raise click.BadParameter(f"`{word}` is not a time, {right}") from None
     if not now < at <= now + LONGEST:
-        raise click.BadParameter(f"{word} is over already, or more than 20 years away")
+        raise click.BadParameter(f"{word} is in the past, or more than 20 years away")
     return at
 
 

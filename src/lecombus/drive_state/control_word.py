@@ -192,7 +192,8 @@ class ControlWord:
     def word(self) -> int | None:
         """The control word as last read or written, None when it is not known.
 
-        An inhibit may stand beside it: a word that is written back must have that added.
+        The drive may also be inhibited by another code: then set the inhibit bit before you write
+        this word back.
         """
         return self._word
 

@@ -1,4 +1,4 @@
-"""Which end of the port seam a URL leads to.
+"""Which port implementation opens a URL.
 
 Strategy: a table from scheme to opener; what has no scheme is a device path. The daemon adds
 `sim:` by giving its own opener. `url_mistake` says what is wrong with a URL before anything is

@@ -1,9 +1,9 @@
 """The port's coming and going: opening with backoff, and the reason it is not there.
 
-Opened always by the name the roster gives (a stable one, if its writer was wise), never by the
-device number it happened to have. Its changes are logged as far as `LinkFlapLimiter` says. A port
-that is open and dead is given up and opened again (`StallWatch`). What a loss means for requests is
-the worker's business.
+Opened always by the name that the roster gives (use a stable one from /dev/serial/by-id), never by
+the device number it happened to have. Its changes are logged as far as `LinkFlapLimiter` says. A
+port that is open and dead is given up and opened again (`StallWatch`). What a loss means for
+requests is the worker's business.
 """
 
 from __future__ import annotations

@@ -393,9 +393,9 @@ class WatchdogSet:
     def room(self, now_s: float, worst_s: float, drive: str) -> WatchdogDeadline | None:
         """Choose the feed to run first so that an exchange that does not fit may follow.
 
-        Only feeding a drive whose own bound is broken helps: any other feed moves the clock by
-        what it takes off the sum. Of those, the longest watchdog goes first, as it stays fresh
-        longest, if those before it can wait that long; else the earliest deadline goes.
+        Only feeding a drive whose own bound is broken helps: any other feed takes as much time as
+        it saves, so nothing is gained. Of those, the longest watchdog goes first, as it stays
+        fresh longest, if those before it can wait that long; else the earliest deadline goes.
         """
         return _room(self._in_order(now_s), now_s, worst_s, drive)
 

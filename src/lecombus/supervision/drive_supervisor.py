@@ -84,7 +84,7 @@ class DriveSupervisor:
     async def run(self) -> None:
         """Make the audits that are asked for, until the daemon ends.
 
-        What follows the line's events asks for audits; it is no task and cannot start one.
+        Subscribers of line events only request audits: they cannot await, so this task makes them.
         """
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(self._rechecks.run)

@@ -3,7 +3,7 @@
 A *late answer* is one that comes after its time-out, when its exchange was given up: `late_answers`
 knows which ones may still come and blocks the requests that they could seem to answer;
 `idle_receive` takes one that comes between two exchanges, `protocol.exchange` one that comes during
-another. A *second answer* is a copy, or another drive's: nothing is missing. An answer is *missing*
-when its exchange ended without it, and a read value is *stale* when it is too old to act on: that
-is a word of the store, not of the line.
+another: it is counted and does not end that exchange's wait. A *second answer* is a copy, or
+another drive's: nothing is missing. An answer is *missing* when its exchange ended without it, and
+a read value is *stale* when it is too old to act on: that is a word of the store, not of the line.
 """

@@ -26,8 +26,8 @@ After a bad answer the exchange goes on listening
 until its deadline: the right answer may still come, and the line must fall silent anyway before
 anyone speaks (EDB2102EN 8.3.5).
 
-Silence is proven by looking. A process that was not run for a while finds bytes in its port of
-whose time is not known, so the caller gives the time until which nothing had come:
+Silence is proven by looking. A process that was not run for a while finds bytes in its port and
+does not know when they came, so the caller gives the time until which nothing had come:
 a pause is one, and an answer a late one, only if the port was checked in between and was empty.
 `look_s` says when to look. An answer found after its deadline counts as in time: it may have
 arrived in time; `older_by_s` says how much older than it seems it may be.

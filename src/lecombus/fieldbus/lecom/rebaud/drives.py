@@ -1,8 +1,8 @@
 """The drives of a line while its baud rate is changed: what is known of each, reads and writes.
 
 Strategy: `place` says where a drive is as far as anybody knows, `rate` only what it answered at
-last. What was not seen is never assumed: a drive whose write was not followed by a look is
-`written`, also after an acknowledgement.
+last. What was not seen is never assumed: a drive that was written to and not read
+afterwards is `written`, also after an acknowledgement.
 """
 
 from __future__ import annotations

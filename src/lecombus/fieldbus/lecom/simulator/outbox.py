@@ -124,7 +124,7 @@ class Outbox:
         return self._as_heard(run, begin, end)
 
     def _end(self, run: _Run, count: int, now_s: float) -> int:
-        """Find how far a run comes before it is too late, or the turn of another one's byte."""
+        """Return the end of what a run has due by now and before the next byte of another run."""
         others = self.runs[0][:2] if self.runs else None
         end, size = run.taken + 1, len(run.data)
         while end < size:
