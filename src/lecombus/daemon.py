@@ -179,6 +179,8 @@ class Daemon:
             raise
         finally:
             keeping.close()
+            if self._tls is not None:
+                self._tls.close()
             if journal is not None:
                 with anyio.CancelScope(shield=True):
                     if self._record is not None:

@@ -20,8 +20,9 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResp
 
 from lecombus.api.connection import HttpConnection, PatientFlow
 from lecombus.api.tcp_connection import TcpConnection
+from lecombus.api.tls_connection import TlsConnection
 
-OURS = (HttpConnection, TcpConnection)
+OURS = (HttpConnection, TcpConnection, TlsConnection)
 CYCLES = {"cycle", "running", "last"}
 """The local names under which a connection has a request that is being answered."""
 
@@ -71,7 +72,7 @@ def test_every_name_that_a_connection_uses_exists(cls: type[HttpConnection]) -> 
         if name.startswith("_")
     }
     used = attributes(tree_of(cls), {"self"}, ast.Load) - own
-    assert {"parser", "cycle", "pipeline", "headers", "url"} & used or cls is TcpConnection
+    assert {"parser", "cycle", "pipeline", "headers", "url"} & used or cls is not HttpConnection
     assert used - has(HttpToolsProtocol) == set()
     replaced = attributes(tree_of(cls), {"self"}, ast.Store)
     assert {name for name in replaced - own if not name.startswith("_")} <= has(HttpToolsProtocol)
@@ -81,7 +82,7 @@ def test_every_name_that_a_connection_uses_exists(cls: type[HttpConnection]) -> 
 def test_every_name_of_a_request_that_a_connection_uses_exists(cls: type[HttpConnection]) -> None:
     tree = tree_of(cls)
     used = attributes(tree, CYCLES, ast.Load) | attributes(tree, CYCLES, ast.Store)
-    assert "response_complete" in used or cls is TcpConnection
+    assert "response_complete" in used or cls is not HttpConnection
     assert used - has(RequestResponseCycle) == set()
 
 
@@ -89,7 +90,7 @@ def test_every_name_of_a_request_that_a_connection_uses_exists(cls: type[HttpCon
 def test_what_a_connection_overrides_has_the_same_parameters(cls: type[HttpConnection]) -> None:
     overridden = {name for name in vars(cls) if name in vars(HttpToolsProtocol)} - {"__module__"}
     methods = {name for name in overridden if inspect.isfunction(vars(cls)[name])}
-    assert "_start_asgi_task" in methods
+    assert "_start_asgi_task" in methods or cls is TlsConnection
     for name in methods:
         ours = inspect.signature(getattr(cls, name)).parameters
         theirs = inspect.signature(getattr(HttpToolsProtocol, name)).parameters

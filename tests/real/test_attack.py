@@ -10,15 +10,19 @@ import contextlib
 import os
 import selectors
 import socket
+import ssl
 import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import httpx2
 import pytest
 
+from lecombus.tokens.secret import new_secret
+from support.certificates import client_context, make_certificates
 from support.children import child
-from support.daemon_host import Daemon, free_port, running, short_dir
+from support.daemon_host import Daemon, free_port, lecombus, running, short_dir
 from support.rosters import roster_text
 
 pytestmark = [pytest.mark.real, pytest.mark.long, pytest.mark.timeout(400)]
@@ -111,14 +115,41 @@ class Attack:
         one.close()
 
 
+class Handshakes(Attack):
+    """Makes whole handshakes over and over, each with a request that carries a wrong token."""
+
+    def __init__(self, port: int, count: int, tls: ssl.SSLContext) -> None:
+        super().__init__(port, count, b"")
+        self._tls = tls
+
+    def _run(self) -> None:
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 19)
+        request = GET % b"/v1/line" + f"Authorization: Bearer {new_secret()}\r\n\r\n".encode()
+        while not self._ends.is_set():
+            with contextlib.suppress(OSError):
+                plain = socket.create_connection(("127.0.0.1", self._port), timeout=1.0)
+                with plain, self._tls.wrap_socket(plain, server_hostname="localhost") as one:
+                    one.sendall(request)
+                    self.sent += len(request)
+                    one.recv(1 << 12)
+
+
 @contextlib.contextmanager
-def full_line(folder: Path, http: int) -> Iterator[Daemon]:
-    """Run a daemon with 31 drives, all online."""
+def full_line(folder: Path, http: int, api: str = "") -> Iterator[Daemon]:
+    """Run a daemon with 31 drives, all online.
+
+    Args:
+        folder: Where its files go.
+        http: Its TCP port.
+        api: More keys of `api`.
+    """
     keys = "cyclic: [{code: C0150, every: 2s}, {code: C0050, every: 5s}]"
     roster = roster_text(
         DRIVES, port=folder / "port", folder=folder, http=http,
         watchdog="{time: 2s, action: inhibit}", drive=keys,
     )  # fmt: skip
+    if api:
+        roster = roster.replace(f"http: '127.0.0.1:{http}'", f"http: '127.0.0.1:{http}', {api}")
     (folder / "line.yaml").write_text(roster)
     with child("support.paced_line", folder / "port", "--roster", folder / "line.yaml") as line:
         line.ask("so_far")
@@ -157,4 +188,57 @@ def test_whatever_comes_over_tcp_takes_no_watchdog_and_no_memory() -> None:
                     assert daemon.metric("lecombus_watchdog_misses_total") == missed, said
                     assert least >= 0.8 * calm, said
                     assert resident_mb(daemon) - before_mb <= 20.0, said
+            assert daemon.end() == 0
+
+
+HELLO = b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03"
+
+GUARDED_ATTACKS: dict[str, tuple[int, bytes]] = {
+    "the beginning of a handshake": (200, HELLO),
+    "rubbish": (200, b"\x00" * 20_000),
+    "http": (64, GET % b"/v1/drives" + b"\r\n"),
+    "alerts": (64, b"\x15\x03\x03\x00\x02\x02\x28" * 1000),
+}
+"""What comes where TLS is expected."""
+
+
+def test_whatever_comes_over_tls_takes_no_watchdog_and_no_stop() -> None:
+    with short_dir() as folder:
+        made, port = make_certificates(folder), free_port()
+        tls = f"{{certificate: {made.path('server.pem')}, key: {made.path('server.key')}}}"
+        with full_line(folder, port, f"tokens: {folder}/tokens, tls: {tls}") as daemon:
+            token = folder / "plc.token"
+            words = ("new", "plc", "--scope", "control", "-c", daemon.roster, "-o", token)
+            assert lecombus("token", *words, within_s=60).status == 0
+            time.sleep(10.0)
+            calm, before_mb = least_margin(daemon), resident_mb(daemon)
+            missed = daemon.metric("lecombus_watchdog_misses_total")
+            context = client_context(made)
+            attacks: dict[str, Attack] = {
+                name: Attack(port, *what) for name, what in GUARDED_ATTACKS.items()
+            }
+            attacks["whole handshakes"] = Handshakes(port, 1, context)
+            headers = {"Authorization": f"Bearer {token.read_text().strip()}"}
+            url = f"https://localhost:{port}"
+            stop = {"action": "quick-stop", "target": "drive-11"}
+            # One keeps its connection, from the address of the attack; the other comes anew.
+            keeps = httpx2.Limits(keepalive_expiry=60.0)
+            with httpx2.Client(
+                base_url=url, headers=headers, verify=context, timeout=20, limits=keeps
+            ) as plc:
+                assert plc.get("/v1/line").status_code == 200
+                for name, attack in attacks.items():
+                    with attack:
+                        least = least_margin(daemon)
+                        assert plc.post("/v1/stop", json=stop).status_code == 200, name
+                        elsewhere = httpx2.HTTPTransport(verify=context, local_address="127.0.0.2")
+                        with httpx2.Client(
+                            base_url=url, headers=headers, transport=elsewhere, timeout=20
+                        ) as other:
+                            assert other.post("/v1/stop", json=stop).status_code == 200, name
+                    time.sleep(5.0)  # what the stops have put off
+                    assert attack.sent > 0, name
+                    assert daemon.metric("lecombus_watchdog_misses_total") == missed, name
+                    assert least >= 0.8 * calm, name
+                    assert resident_mb(daemon) - before_mb <= 20.0, name
             assert daemon.end() == 0

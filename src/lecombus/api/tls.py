@@ -4,7 +4,7 @@ The certificate is read at the start and at each reload; a wrong one is refused 
 stays. Connections that are open keep theirs.
 
 A handshake signs with the private key, up to some milliseconds of processor time (RSA 4096). So
-handshakes are made in a thread, one after the other: the event loop sends telegrams meanwhile.
+handshakes are made in a thread, one after the other: the event loop sends telegrams during that.
 There are no sessions to be resumed: each connection shows its certificate.
 """
 
@@ -83,7 +83,7 @@ class TlsContexts:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What one step of a handshake came to.
+    """The result of one step of a handshake.
 
     Args:
         is_done: The handshake is complete.
@@ -110,7 +110,14 @@ class Handshake:
         self.context = context
         self._thread = thread
         self._incoming, self._outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
-        self.session = context.wrap_bio(self._incoming, self._outgoing, server_side=True)
+        self._session: ssl.SSLObject | None = None
+
+    @property
+    def session(self) -> ssl.SSLObject:
+        """The session; there is one from the first step on, which is not made in the loop."""
+        if self._session is None:
+            self._session = self.context.wrap_bio(self._incoming, self._outgoing, server_side=True)
+        return self._session
 
     def take(self, sealed: bytes) -> None:
         """Take bytes as they came; never while a step is under way."""

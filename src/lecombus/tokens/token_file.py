@@ -1,8 +1,8 @@
 """The file of tokens: names, digests, scopes, targets, times; never a token itself.
 
 One JSON document, written again as a whole: a reader finds the old one or the new one. Only its
-owner may write it, and its owner is root or the user that reads it: whoever could write it could
-give themselves any right. A file that breaks one of these rules, or is no such document, is refused
+owner may write it, and its owner is root or the user that reads it: another user who may write it
+could make a token for everything. A file that breaks one of these rules, or is no such document, is refused
 as a whole.
 
 Times are those of the computer's clock (Unix seconds in the program, RFC 3339 in the file).
