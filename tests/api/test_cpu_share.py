@@ -9,7 +9,7 @@ from itertools import pairwise
 import anyio
 import pytest
 
-from lecombus.api.tcp_connection import LONGEST_REST_S, CpuShare
+from lecombus.api.tcp_connection import LONGEST_REST_S, CpuShare, fairest
 
 pytestmark = [pytest.mark.anyio, pytest.mark.clock]
 
@@ -122,3 +122,31 @@ async def test_the_longest_piece_keeps_nobody_waiting_for_ever() -> None:
     share.take("next", lambda: begun.append(asyncio.get_running_loop().time()))
     await until(lambda: bool(begun))
     assert begun[0] - began_s >= LONGEST_REST_S - 0.01
+
+
+async def test_connections_opened_without_end_do_not_take_all_turns() -> None:
+    """Each opening postpones the next turn, but not beyond some milliseconds after the last."""
+    begun: list[int] = []
+    share, now = CpuShare(0.2, Processor()), asyncio.get_running_loop().time
+    for number in range(5):
+        share.take("client", lambda number=number: begun.append(number))  # type: ignore[misc]
+    end_s = now() + 5.0
+    while len(begun) < 5 and now() < end_s:
+        share.spend_opening(0.0002)
+        await asyncio.sleep(0)
+    assert len(begun) == 5
+
+
+class Waiting:
+    """A client as the choice sees it."""
+
+    def __init__(self, address: str, *, known: bool = False) -> None:
+        self.address, self.is_known = address, known
+
+
+def test_the_next_turn_is_that_of_a_known_client_then_of_the_address_with_fewest() -> None:
+    flood = [Waiting("192.0.2.66") for _ in range(5)]
+    other, plc = Waiting("192.0.2.2"), Waiting("192.0.2.66", known=True)
+    assert fairest([*flood, other, plc]) is plc
+    assert fairest([*flood, other]) is other
+    assert fairest(flood) is flood[0]

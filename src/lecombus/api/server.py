@@ -43,7 +43,7 @@ from lecombus.api.limits import (
     RequestLimiter,
     connection_limit,
 )
-from lecombus.api.tcp_connection import CpuShare, TcpConnection, timed
+from lecombus.api.tcp_connection import CpuShare, TcpConnection, fairest, timed
 from lecombus.api.tls import TlsContexts
 from lecombus.api.tls_connection import TlsConnection
 from lecombus.api.token_access import AllowedHosts, FailureCount, TokenAccess
@@ -181,7 +181,7 @@ def tcp_configuration(
     app: ASGIApp, host: str, places: ConnectionPlaces, doors: Doors
 ) -> uvicorn.Config:
     """Return how TCP is served: all of it in one share of the loop's time."""
-    share = CpuShare()
+    share = CpuShare() if doors.tokens is None else CpuShare(choose=fairest)
     known: dict[str, Any] = {"places": places, "share": share}
     limited = RequestLimiter(PacedLineRequests(app), TCP_LIMIT, TCP_WAITING_LIMIT)
     access: ASGIApp = ReadOnlyAccess(limited, host)

@@ -23,10 +23,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import select
 import time
-from collections import deque
-from collections.abc import Callable, Coroutine, Generator
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Coroutine, Generator
 from contextvars import copy_context
 from functools import partial
 from typing import Any, Final, Self
@@ -48,6 +49,7 @@ __all__ = [
     "LingeringTransport",
     "TcpConnection",
     "TimedCoroutine",
+    "fairest",
     "timed",
 ]
 
@@ -68,6 +70,9 @@ LINGER_S: Final = 1.0
 
 DROPPED_LIMIT: Final = 64 * 1024
 """Bytes that it may send in that time."""
+
+LONGEST_OPENING_REST_S: Final = 0.02
+"""From one turn to the next, however many connections are opened."""
 
 OPENING_S: Final = 0.0002
 """Processor time that taking a connection and ending it costs, about."""
@@ -156,7 +161,7 @@ class TcpConnection(HttpConnection, asyncio.BufferedProtocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Take the connection; called by the loop."""
-        self.share.spend(OPENING_S)
+        self.share.spend_opening(OPENING_S)
         self._dropped = 0
         self._progress = self._progress_seen = 0
         super().connection_made(self._lingering(transport))
@@ -266,17 +271,37 @@ class TcpConnection(HttpConnection, asyncio.BufferedProtocol):
         return self._is_begun
 
 
+def first(waiting: Collection[Any]) -> object:
+    """Return the client that waits longest."""
+    return next(iter(waiting))
+
+
+def fairest(waiting: Collection[Any]) -> object:
+    """Return a client with a valid token before others, then one of the address with fewest."""
+    counts = Counter(one.address for one in waiting)
+    chosen: object = min(waiting, key=lambda one: (not one.is_known, counts[one.address]))
+    return chosen
+
+
 class CpuShare:
     """Begins one piece after the other, and rests in between.
 
     Args:
         part: How much of the loop's time all pieces together may take, 0 to 1.
         clock: The processor time of this thread, seconds.
+        choose: Says which of the waiting clients is next; by default the one that waits longest.
     """
 
-    def __init__(self, part: float = PART, clock: Callable[[], float] = time.thread_time) -> None:
+    def __init__(
+        self,
+        part: float = PART,
+        clock: Callable[[], float] = time.thread_time,
+        choose: Callable[[Collection[Any]], object] = first,
+    ) -> None:
         self._part = part
         self._clock = clock
+        self._choose = choose
+        self._turn_at_s = -math.inf  # when a piece began last, by the loop's clock
         self._waiting: dict[object, deque[Callable[[], None]]] = {}  # by client, the next one first
         self._free_at_s = 0.0  # by the loop's clock
         self._called: asyncio.Handle | None = None
@@ -297,6 +322,14 @@ class CpuShare:
         free_at_s = max(self._free_at_s, now_s) + seconds / self._part
         self._free_at_s = min(free_at_s, now_s + LONGEST_REST_S)
 
+    def spend_opening(self, seconds: float) -> None:
+        """Count what taking a connection used: without end, they must not take all turns."""
+        now_s = asyncio.get_running_loop().time()
+        free_at_s = max(self._free_at_s, now_s) + seconds / self._part
+        self._free_at_s = max(
+            self._free_at_s, min(free_at_s, self._turn_at_s + LONGEST_OPENING_REST_S)
+        )
+
     def _call(self) -> None:
         loop = asyncio.get_running_loop()
         if self._free_at_s > loop.time():
@@ -307,6 +340,7 @@ class CpuShare:
     def _next(self) -> None:
         self._called = None
         if self._waiting and self._free_at_s <= asyncio.get_running_loop().time():
+            self._turn_at_s = asyncio.get_running_loop().time()
             began_s = self._clock()
             try:
                 self._pop()()
@@ -317,7 +351,7 @@ class CpuShare:
 
     def _pop(self) -> Callable[[], None]:
         """Take the next client's first piece; its other pieces wait behind the other clients."""
-        client = next(iter(self._waiting))
+        client = self._choose(self._waiting.keys())
         asked = self._waiting.pop(client)
         begin = asked.popleft()
         if asked:

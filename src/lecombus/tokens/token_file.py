@@ -2,8 +2,8 @@
 
 One JSON document, written again as a whole: a reader finds the old one or the new one. Only its
 owner may write it, and its owner is root or the user that reads it: another user who may write it
-could make a token for everything. A file that breaks one of these rules, or is no such document, is refused
-as a whole.
+could make a token for everything. A file that breaks one of these rules, or is no such document, is
+refused as a whole.
 
 Times are those of the computer's clock (Unix seconds in the program, RFC 3339 in the file).
 """
