@@ -20,7 +20,7 @@ Done = Callable[[Any, Exception | None], None]
 
 
 class FileThread:
-    """Carries out calls in their order, in one thread of its own."""
+    """Carries out calls in their order, in one separate thread."""
 
     def __init__(self) -> None:
         self._loop = asyncio.get_running_loop()

@@ -6,7 +6,7 @@ comes during a transaction goes into the next one. One transaction is under way 
 stand in the order in which they came, and one flush of the disk serves all that wait.
 
 A failing disk: rows stay in the list, `PENDING_MOST` of them; those beyond are counted. Everything
-that waits is told the reason then and waits no more until a later attempt succeeds. An attempt is
+that waits gets the reason then and waits no more until a later attempt succeeds. An attempt is
 made every `RETRY_S`; a transaction that takes longer than `HANGS_AFTER_S` counts as failing.
 """
 
