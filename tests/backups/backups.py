@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from lecombus.backups import Backup, BackupEntry, Head, ReadAttempt
+from lecombus.backups import Backup, BackupEntry, BackupHead, ReadAttempt
 from lecombus.drives import Family, family
 from lecombus.drives.family_files import load_family
 from lecombus.parameters import Code, Value
@@ -59,7 +59,7 @@ def backup_of(
 ) -> Backup:  # fmt: skip
     """A backup of a drive whose codes read these texts."""
     drive = family(kind) if isinstance(kind, str) else kind
-    head = Head("feeder", "hall-3", address, drive.name, "2026-11-22T01:54:43Z", "0.1.0")
+    head = BackupHead("feeder", "hall-3", address, drive.name, "2026-11-22T01:54:43Z", "0.1.0")
     entries = [BackupEntry(Code.parse(code), Value.parse(raw)) for code, raw in texts.items()]
     entries += [BackupEntry(Code.parse(code), None, why) for code, why in (missing or {}).items()]
     entries.sort(key=lambda entry: entry.code)

@@ -9,7 +9,7 @@ import pytest
 
 import lecombus.fieldbus
 from lecombus.backups import read_backup, write_backup
-from lecombus.backups.backup_file import Backup, Head
+from lecombus.backups.backup_file import Backup, BackupHead
 from lecombus.config import parse_roster
 from lecombus.drives import FAMILY_NAMES, family, family_files
 from lecombus.errors import ConfigError
@@ -114,7 +114,7 @@ def test_families_of_all_protocols_are_known_without_a_roster(boxed: str) -> Non
     assert protocol_of("boxedmotor") == boxed
     assert family_names() == (*FAMILY_NAMES, "boxedmotor")
     assert protocol_of("boxed") is None
-    head = Head("fan", "boxes", 6, "boxedmotor", "2026-11-23T02:00:00Z", "1")
+    head = BackupHead("fan", "boxes", 6, "boxedmotor", "2026-11-23T02:00:00Z", "1")
     text = write_backup(Backup(head, family("boxedmotor")))
     assert read_backup(text, "fan.yaml").head.family == "boxedmotor"
 

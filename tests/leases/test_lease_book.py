@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lecombus.errors import OperationError
-from lecombus.leases import EndOfLease, Latch, Lease, LeaseBook, LeaseTerms, Use
+from lecombus.leases import EndOfLease, HeldLease, Latch, LeaseBook, LeaseTerms, Use
 
 REQUIRED = LeaseTerms(True, 2.0, "quick-stop")
 FREE = LeaseTerms(False, 5.0, "quick-stop")
@@ -19,7 +19,7 @@ def a_book(now_s: float = 0.0, **terms: LeaseTerms) -> LeaseBook:
 
 def taken(
     book: LeaseBook, name: str = "plc", drives: str = "ab", now_s: float = 0.0, take_over: str = ""
-) -> Lease:
+) -> HeldLease:
     return book.take(
         name, drives, drives, 2.0, 1, now_s, secret=f"{name}{now_s}", take_over=take_over
     )

@@ -8,7 +8,7 @@ import hypothesis.strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from lecombus.errors import OperationError
-from lecombus.leases import EndOfLease, Lease, LeaseBook, LeaseTerms, Use
+from lecombus.leases import EndOfLease, HeldLease, LeaseBook, LeaseTerms, Use
 
 DRIVES = ("a", "b", "c")
 NAMES = ("one", "two", "three")
@@ -27,8 +27,8 @@ class LeaseMachine(RuleBasedStateMachine):
         super().__init__()
         self.now_s = 100.0
         self.book = LeaseBook(0)
-        self.holder: dict[str, Lease] = {}
-        self.former: list[Lease] = []
+        self.holder: dict[str, HeldLease] = {}
+        self.former: list[HeldLease] = []
         self.ends: dict[int, float] = {}
         self.numbers: list[int] = []
         self.latched: dict[str, bool] = {}
@@ -136,11 +136,11 @@ class LeaseMachine(RuleBasedStateMachine):
                 self.latched[drive] = True
                 self.former.append(lease)
 
-    def _held(self) -> dict[str, Lease]:
+    def _held(self) -> dict[str, HeldLease]:
         self._take_ended()
         return dict(self.holder)
 
-    def _try(self, call: Any, *args: Any, **kwargs: Any) -> Lease | None:
+    def _try(self, call: Any, *args: Any, **kwargs: Any) -> HeldLease | None:
         try:
             return call(*args, **kwargs)  # type: ignore[no-any-return]
         except OperationError:

@@ -19,7 +19,7 @@ from lecombus.api.answers import ProblemDocument, RefusedRequestError, json_resp
 from lecombus.api.limits import LEASES_PATH
 from lecombus.api.request_checks import NAME, LeaseBody, read_body, refuse_query
 from lecombus.api.scopes import reaches, require_drives, require_target
-from lecombus.leases import Lease
+from lecombus.leases import HeldLease
 from lecombus.operations.facade import Operations
 from lecombus.operations.lease_operations import LEASE, Leases
 
@@ -83,7 +83,7 @@ class LeaseRoutes:
             return json_response(self._leases.lease_json(lease, token=True))
         return json_response(self._leases.lease_json(self._take(name, body), token=True))
 
-    def _take(self, name: str, body: LeaseBody) -> Lease:
+    def _take(self, name: str, body: LeaseBody) -> HeldLease:
         drives: list[str] = []
         for target in body.targets or ():
             require_target(target, self._ops)

@@ -15,7 +15,7 @@ from lecombus.drives.procedures import ReadAttempt, WriteAttempt, is_passing
 from .backup_file import (
     Backup,
     BackupEntry,
-    Head,
+    BackupHead,
     Section,
     read_backup,
     section_of,
@@ -38,9 +38,9 @@ from .taking import Listener, RestoreAccess, Taken, take
 __all__ = [
     "Backup",
     "BackupEntry",
+    "BackupHead",
     "Comparison",
     "Difference",
-    "Head",
     "Listener",
     "Progress",
     "ReadAttempt",

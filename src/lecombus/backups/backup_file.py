@@ -37,7 +37,7 @@ from lecombus.parameters import Code, Format, Value
 __all__ = [
     "Backup",
     "BackupEntry",
-    "Head",
+    "BackupHead",
     "Section",
     "is_own",
     "meaning_of",
@@ -64,7 +64,7 @@ class Section(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Head:
+class BackupHead:
     """Whose backup it is.
 
     Args:
@@ -112,7 +112,7 @@ class Backup:
         name: What the user calls it: a file or a drive.
     """
 
-    head: Head
+    head: BackupHead
     family: Family
     entries: Mapping[Code, BackupEntry] = field(default_factory=dict)
     name: str = ""
@@ -340,7 +340,7 @@ def read_backup(text: str, file: str) -> Backup:
             if other is not entry:
                 message = f"{entry.code} stands in this file twice: also at {other.place}"
                 raise document.error(message, section, key, KEY)
-    head = Head(
+    head = BackupHead(
         drive=read.drive,
         line=read.line,
         address=read.address,

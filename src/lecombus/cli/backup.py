@@ -25,9 +25,9 @@ from lecombus import __version__
 from lecombus.backups import (
     Backup,
     BackupEntry,
+    BackupHead,
     Comparison,
     Difference,
-    Head,
     Listener,
     Progress,
     ReadAttempt,
@@ -309,7 +309,7 @@ async def read_drive(
         if answer.value is not None or kind.info(code) is not None
     }
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    head = Head(whose.drive, whose.line, whose.address, whose.family, now, __version__)
+    head = BackupHead(whose.drive, whose.line, whose.address, whose.family, now, __version__)
     return Backup(head, kind, entries, name=whose.drive), taken.unsettled
 
 

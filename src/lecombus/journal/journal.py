@@ -26,7 +26,7 @@ import apsw
 from lecombus.journal import reading
 from lecombus.journal.chain import ASKED, Head, Row
 from lecombus.journal.file_thread import FileThread
-from lecombus.journal.journal_file import JournalFile, JournalFileError, Room
+from lecombus.journal.journal_file import FileSpace, JournalFile, JournalFileError
 from lecombus.journal.kept import Fact, KeyRow
 from lecombus.journal.reading import StoredRow, Verified
 
@@ -400,7 +400,7 @@ class Journal:
             self._works()
             self._flush()
 
-    def _tidied(self, room: Room | None, error: Exception | None) -> None:
+    def _tidied(self, room: FileSpace | None, error: Exception | None) -> None:
         if room is not None:
             self._size = room.size_bytes
         reason = str(error) if error is not None else "" if room is None else room.trouble

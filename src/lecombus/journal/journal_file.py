@@ -29,7 +29,7 @@ from lecombus.journal.chain import ASKED, FIRST_HASH, Head, Row, hash_of, json_o
 from lecombus.journal.kept import Fact, KeyRow, keep
 from lecombus.journal.reading import fact, head_in
 
-__all__ = ["JournalFile", "JournalFileError", "Room"]
+__all__ = ["FileSpace", "JournalFile", "JournalFileError"]
 
 APPLICATION_ID: Final = 0x4C434A4C
 """`LCJL`, in the file's header."""
@@ -72,7 +72,7 @@ class JournalFileError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Room:
+class FileSpace:
     """How large a file is.
 
     Args:
@@ -304,7 +304,7 @@ class JournalFile:
                 raise
         return not self._room_trouble
 
-    def tidy(self) -> Room:
+    def tidy(self) -> FileSpace:
         """Empty the WAL where it is long, and see to it that there is room.
 
         After each opening the WAL is made as long as it will ever be.
@@ -314,12 +314,12 @@ class JournalFile:
         """
         db = self._db
         if db is None:
-            return Room(self.size(), self._room_trouble)
+            return FileSpace(self.size(), self._room_trouble)
         with self._in_words():
             if self._frames >= CHECKPOINT_FRAMES:
                 self._checkpoint(db)
             self._make_room(db)
-        return Room(self.size(), self._room_trouble)
+        return FileSpace(self.size(), self._room_trouble)
 
     def size(self) -> int:
         """Return the size of the file and its WAL, bytes."""

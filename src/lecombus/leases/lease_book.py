@@ -20,8 +20,8 @@ from lecombus.leases.lease_records import (
     DriveControl,
     EndedLease,
     EndOfLease,
+    HeldLease,
     Latch,
-    Lease,
     LeaseTerms,
     Use,
     is_same_token,
@@ -44,7 +44,7 @@ class LeaseBook:
 
     def __init__(self, number: int = 0) -> None:
         self.number = number
-        self._leases: dict[str, Lease] = {}
+        self._leases: dict[str, HeldLease] = {}
         self._drives: dict[str, DriveControl] = {}
         self._ended: list[EndedLease] = []
 
@@ -55,7 +55,7 @@ class LeaseBook:
         """The control of each drive by name."""
         return self._drives
 
-    def leases(self, now_s: float) -> list[Lease]:
+    def leases(self, now_s: float) -> list[HeldLease]:
         """List the leases held, the oldest first."""
         self.advance(now_s)
         return list(self._leases.values())
@@ -115,7 +115,7 @@ class LeaseBook:
         if control.terms.required and control.lease is None and control.latch is None:
             control.latch, control.due_s = Latch.STARTED, now_s + control.terms.time_s
 
-    def _take_out(self, lease: Lease, drive: str) -> None:
+    def _take_out(self, lease: HeldLease, drive: str) -> None:
         lease.drives = tuple(name for name in lease.drives if name != drive)
         if not lease.drives:
             del self._leases[lease.name]
@@ -134,7 +134,7 @@ class LeaseBook:
         secret: str,
         take_over: str = "",
         holder: Mapping[str, str] | None = None,
-    ) -> Lease:
+    ) -> HeldLease:
         """Grant a lease.
 
         Args:
@@ -156,7 +156,7 @@ class LeaseBook:
         self._check_time(wanted, time_s)
         former = self._former(name, wanted, take_over)
         self.number += 1
-        lease = Lease(
+        lease = HeldLease(
             name, self.number, secret, tuple(targets), wanted, time_s, counter, now_s,
             now_s + time_s, dict(holder or {}),
         )  # fmt: skip
@@ -173,7 +173,7 @@ class LeaseBook:
                 control.latch = None
         return lease
 
-    def renew(self, name: str, token: str, counter: int, now_s: float) -> Lease:
+    def renew(self, name: str, token: str, counter: int, now_s: float) -> HeldLease:
         """Move the end of a lease.
 
         Args:
@@ -197,7 +197,7 @@ class LeaseBook:
         lease.ends_at_s = now_s + lease.time_s
         return lease
 
-    def release(self, name: str, token: str, now_s: float) -> Lease:
+    def release(self, name: str, token: str, now_s: float) -> HeldLease:
         """End a lease on purpose; drives that need one are to be stopped as if it had lapsed.
 
         Raises:
@@ -286,7 +286,7 @@ class LeaseBook:
         for lease in [one for one in self._leases.values() if one.ends_at_s <= now_s]:
             self._end(lease, EndOfLease.LAPSED, now_s)
 
-    def _end(self, lease: Lease, end: EndOfLease, now_s: float) -> None:
+    def _end(self, lease: HeldLease, end: EndOfLease, now_s: float) -> None:
         """End a lease without a successor, and latch its drives."""
         del self._leases[lease.name]
         lapsed, left = end is EndOfLease.LAPSED, []
@@ -300,7 +300,7 @@ class LeaseBook:
         if left:
             self._ended.append(ended_of(lease, tuple(left), end, now_s))
 
-    def _held(self, name: str, token: str, now_s: float) -> Lease:
+    def _held(self, name: str, token: str, now_s: float) -> HeldLease:
         self.advance(now_s)
         lease = self._leases.get(name)
         if lease is None or not is_same_token(token, lease.token):
@@ -325,7 +325,7 @@ class LeaseBook:
             remedy=f"ask for {format_duration(LEAST_TIME_S)} to {format_duration(longest_s)}",
         )
 
-    def _former(self, name: str, drives: Sequence[str], take_over: str) -> Lease | None:
+    def _former(self, name: str, drives: Sequence[str], take_over: str) -> HeldLease | None:
         """Find the lease that is taken over, and see that no other stands against it."""
         former = None
         if take_over:
@@ -350,13 +350,15 @@ class LeaseBook:
         return former
 
 
-def held(lease: Lease, why: str, remedy: str) -> OperationError:
+def held(lease: HeldLease, why: str, remedy: str) -> OperationError:
     """Make the error for drives or a name that another lease has."""
     text = f"lease {lease.name} stands against it: {why}"
     return OperationError(text, kind="lease-held", remedy=remedy)
 
 
-def ended_of(lease: Lease, drives: tuple[str, ...], end: EndOfLease, now_s: float) -> EndedLease:
+def ended_of(
+    lease: HeldLease, drives: tuple[str, ...], end: EndOfLease, now_s: float
+) -> EndedLease:
     """Make the record of the end of a lease."""
     return EndedLease(lease.name, lease.number, drives, end, now_s)
 

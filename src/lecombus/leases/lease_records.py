@@ -11,8 +11,8 @@ __all__ = [
     "DriveControl",
     "EndOfLease",
     "EndedLease",
+    "HeldLease",
     "Latch",
-    "Lease",
     "LeaseTerms",
     "Use",
     "is_same_token",
@@ -69,7 +69,7 @@ class LeaseTerms:
 
 
 @dataclass(slots=True)
-class Lease:
+class HeldLease:
     """A lease that is held.
 
     Args:
@@ -135,7 +135,7 @@ class DriveControl:
     """
 
     terms: LeaseTerms
-    lease: Lease | None = None
+    lease: HeldLease | None = None
     latch: Latch | None = None
     due_s: float | None = None
     ended: EndedLease | None = None

@@ -21,7 +21,7 @@ from lecombus.drive_state.readings import seconds
 from lecombus.drives import Family, StopAction, family, knows_stop
 from lecombus.drives.stops import stops_every_drive
 from lecombus.errors import OperationError
-from lecombus.leases import Lease, LeaseBook, LeaseTerms, Use
+from lecombus.leases import HeldLease, LeaseBook, LeaseTerms, Use
 from lecombus.operations.actions import ACTOR
 from lecombus.parameters import Code, Json, Value
 from lecombus.saved_state import State
@@ -85,7 +85,7 @@ class Leases:
         time_s: float,
         counter: int,
         take_over: str = "",
-    ) -> Lease:
+    ) -> HeldLease:
         """Grant a lease (`LeaseBook.take`).
 
         Raises:
@@ -108,13 +108,13 @@ class Leases:
         self.changed()
         return lease
 
-    def renew(self, name: str, token: str, counter: int) -> Lease:
+    def renew(self, name: str, token: str, counter: int) -> HeldLease:
         """Renew a lease (`LeaseBook.renew`)."""
         lease = self.book.renew(name, token, counter, self._clock())
         self.changed()
         return lease
 
-    def release(self, name: str, token: str) -> Lease:
+    def release(self, name: str, token: str) -> HeldLease:
         """End a lease on purpose (`LeaseBook.release`)."""
         lease = self.book.release(name, token, self._clock())
         self._log("lease-released", lease)
@@ -152,7 +152,7 @@ class Leases:
 
     # -- what is shown ----------------------------------------------------------------------------
 
-    def held(self) -> list[Lease]:
+    def held(self) -> list[HeldLease]:
         """Return the leases that are held now, the oldest first."""
         return self.book.leases(self._clock())
 
@@ -173,7 +173,7 @@ class Leases:
             if control.terms.required or control.lease is not None or control.latch is not None
         ]
 
-    def lease_json(self, lease: Lease, *, token: bool = False) -> dict[str, Json]:
+    def lease_json(self, lease: HeldLease, *, token: bool = False) -> dict[str, Json]:
         """Return the JSON form of a lease; only its holder sees the token."""
         controls = self.book.drives
         secret: dict[str, Json] = {"token": lease.token} if token else {}
@@ -192,7 +192,7 @@ class Leases:
             "holder": dict(lease.holder),
         }
 
-    def _log(self, event: str, lease: Lease, take_over: str = "") -> None:
+    def _log(self, event: str, lease: HeldLease, take_over: str = "") -> None:
         fields = {
             **ACTOR.get().fields(), "lease": lease.name, "number": str(lease.number),
             "drives": ",".join(lease.drives), "time_s": f"{lease.time_s:g}", "over": take_over,
