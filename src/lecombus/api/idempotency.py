@@ -308,7 +308,7 @@ def key_mistake(keys: Sequence[str]) -> str:
     There are two, or the one is empty or too long to keep.
     """
     if len(keys) > 1:
-        return f"header Idempotency-Key stands {len(keys)} times: which of the keys counts is open"
+        return f"header Idempotency-Key stands {len(keys)} times: it is not clear which key to use"
     if not keys or 0 < len(keys[0]) <= KEY_CHARS:
         return ""
     return f"Idempotency-Key has {len(keys[0])} characters, 1 to {KEY_CHARS} are taken"
