@@ -60,8 +60,11 @@ class TlsTransport(LingeringTransport):
             self._inner.write(sealed)
 
     def close(self) -> None:
-        """End the session and send what is left; close soon after."""
-        if self.is_open and not self.is_closing():
+        """End the session and send what is left; close soon after, or now where none began."""
+        if not self.is_open:
+            self._inner.close()  # there is no answer to be read, so nothing more is taken
+            return
+        if not self.is_closing():
             with contextlib.suppress(ssl.SSLError):  # the client has not ended it, which may be
                 self._tls.session.unwrap()
             self.send_sealed()
