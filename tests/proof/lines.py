@@ -12,6 +12,7 @@ Must not live here: what has to hold (`invariants`), running (`world`).
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass
 from random import Random
@@ -20,7 +21,7 @@ from lecombus.capacity.demand_bound import Stream, find_overload, load_of
 from lecombus.capacity.exchange_costs import own_longest_s, stop_s
 from lecombus.capacity.watchdog_demand import demand_of, smallest, under_way_s
 from lecombus.capacity.watchdog_feasibility import AWAY_ATTEMPTS
-from lecombus.config import DriveEntry, Roster, line_timing
+from lecombus.config import DriveEntry, Roster, RosterError, line_timing
 from lecombus.drives import family
 from lecombus.schedule.watchdog_deadline import HARD_PART
 from support.rosters import make_roster
@@ -167,7 +168,7 @@ def line_of(seed: int, length_s: float) -> RandomLine:
         )
         for at in range(len(drives))
     ]
-    roster = _read(head, drives, watched, times, cyclic)
+    roster = _accepted(head, drives, watched, times, cyclic)
     more = Random(seed + MORE)
     troubled, faulty = kind in TROUBLED, kind == "faulty"
     return RandomLine(
@@ -201,6 +202,21 @@ def _least_s(roster: Roster, short: set[str], lost: int) -> float | None:
         return find_overload(streams, blocking_s) is None and load_of(streams) <= 1.0
 
     return smallest(holds, SHORTEST_WATCHDOG_S, LONGEST_WATCHDOG_S)
+
+
+def _accepted(
+    head: str,
+    drives: list[tuple[int, str]],
+    watched: list[bool],
+    times: list[float],
+    cyclic: str,
+) -> Roster:
+    """Read a roster; with longer watchdogs while `check` refuses these by some milliseconds."""
+    for more in range(10):
+        longer = [min(LONGEST_WATCHDOG_S, time_s * 1.02**more) for time_s in times]
+        with contextlib.suppress(RosterError):
+            return _read(head, drives, watched, longer, cyclic)
+    return _read(head, drives, watched, times, cyclic)
 
 
 def _read(

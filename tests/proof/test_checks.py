@@ -76,3 +76,10 @@ def test_another_seed_is_another_line() -> None:
 )
 def test_an_answer_is_whole_or_not(heard: bytes, whole: bool) -> None:
     assert is_whole(heard) is whole
+
+
+def test_a_line_whose_watchdogs_check_refuses_by_milliseconds_gets_longer_ones() -> None:
+    """Seed 33360: the line's own estimate was 8 ms shorter than what `check` accepts."""
+    line = line_of(33360, 60.0)
+    times = {drive.watchdog.time_s for drive in line.roster.drives if drive.watchdog}
+    assert min(times) > 0.792
