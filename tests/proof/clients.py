@@ -17,6 +17,7 @@ from lecombus.line_runtime import LineRuntime
 from lecombus.parameters import Code
 from lecombus.schedule import Priority
 from proof.invariants import Invariants
+from proof.lease_checks import ASKED_WITH
 from proof.lines import TROUBLED, RandomLine
 
 WRITERS = 4
@@ -67,6 +68,7 @@ class Clients:
 
     async def run(self) -> None:
         """Ask until stopped."""
+        ASKED_WITH.set("")
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(self._one_thing_after_the_other)
             tasks.start_soon(self._look)
@@ -142,6 +144,8 @@ class Clients:
         """Look at what is shown, again and again."""
         while not self._over.is_set():
             self._seen.shown.look()
+            if self._seen.leases is not None:
+                self._seen.leases.look()
             with anyio.move_on_after(LOOK_EVERY_S):
                 await self._over.wait()
 
@@ -154,9 +158,10 @@ class Clients:
     async def _write_setpoint(self, drive: DriveEntry, expires_s: float = EXPIRY_S) -> None:
         """Write a setpoint that this drive has not had for long: it tells whose it is."""
         code = Code({"smvector": 140, "93xx": 141}.get(drive.family, 46))
-        await self._write_one(drive, code, self._next_value(drive), expires_s)
+        await self._write_one(drive, code, self.next_value(drive), expires_s)
 
-    def _next_value(self, drive: DriveEntry) -> Decimal:
+    def next_value(self, drive: DriveEntry) -> Decimal:
+        """Give a value that the drive has not had for long."""
         self._values[drive.name] = (self._values[drive.name] + 1) % VALUES
         return Decimal(self._values[drive.name] + 1).scaleb(-1)
 
@@ -199,7 +204,7 @@ class Clients:
             if drive.family != "820x":
                 tasks.start_soon(self._write_one, drive, EDGE, _edge_of(drive))
             if drive.family != "smvector":
-                tasks.start_soon(self._write_one, drive, SETTING, self._next_value(drive))
+                tasks.start_soon(self._write_one, drive, SETTING, self.next_value(drive))
             await anyio.sleep(self._random.choice((0.0, 0.01, 0.1, LOST_TIME_S)))
             await self._stop([drive])
 

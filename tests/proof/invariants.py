@@ -9,6 +9,7 @@
 * No wait, gap or margin is beyond what the plan promised (`promises`).
 * Line and drives are left alone for as long as they must be (`pauses`), and nothing is said for a
   request that it did not ask for, or once too often (`sayings`).
+* Where drives have leases, only their holders move them (`lease_checks`).
 * What is shown of drives and motors is true of the drives themselves (`shown`).
 
 Here is who hands on to these what the world and the clients tell, and what is said to be broken.
@@ -25,6 +26,8 @@ from lecombus.fieldbus.lecom.simulator.line import SimLine
 from lecombus.fieldbus.lecom.simulator.receiver import ReceivedRequest
 from lecombus.fieldbus.loop_interface import ExchangeReport
 from lecombus.line_runtime import LineRuntime
+from lecombus.schedule import Outcome, Request
+from proof.lease_checks import LeaseChecks
 from proof.lines import RandomLine
 from proof.losses import Losses, TolerantLine
 from proof.outcomes import Outcomes
@@ -37,6 +40,7 @@ from proof.telegrams import Telegrams
 from proof.turns import Turns
 from proof.watchdogs import Watchdogs
 from proof.wire import Wire
+from support.lecom_loop import lecom_loop
 
 MOST_SAID = 5
 """So many broken promises of one line are enough to look at."""
@@ -60,7 +64,7 @@ class Invariants:
         self._site = site
         plan = make_promises(line.roster)
         self.wire = Wire(sim, line.kind != "faulty", self.say, told_apart=line.is_told_apart)
-        self.promises = Promises(line, plan, sim, self.say)
+        self.promises = Promises(line, plan, sim, _not_judged if line.leased else self.say)
         self._now = asyncio.get_running_loop().time
         self.turns = Turns(line, plan, self._now, self.say)
         self._stops = Stops(line, plan, site, self.say)
@@ -70,7 +74,15 @@ class Invariants:
         self._pauses = Pauses(line, sim, self.say)
         self._sayings = Sayings(line, sim, self._now, self.say)
         self.shown = Shown(line, sim, site, self._now, self.say)
-        self._requests = Outcomes(site.worker, self.say, self._sayings.taken)
+        self.leases = (
+            LeaseChecks(
+                line, sim, site, self._stops, self.watchdogs, self.left, self._now, self.say
+            )
+            if line.leased else None
+        )  # fmt: skip
+        if self.leases is not None:
+            self._stops.begun = self.leases.begun
+        self._requests = Outcomes(site.worker, self.say, self._taken)
         sim.on_request = self._drives_heard
         self._addresses = {drive.address: drive.name for drive in line.roster.drives}
         self._asked = 0
@@ -96,6 +108,8 @@ class Invariants:
     def end(self) -> None:
         """Look at what can only be judged at the end."""
         self.sim.advance(self._now())
+        if self.leases is not None:
+            self.leases.end()
         self.watchdogs.look(self._now())
         self.wire.end()
         self.promises.end(self._now())
@@ -112,6 +126,8 @@ class Invariants:
     def lost_power(self, drive: str) -> None:
         """A drive has been without its supply."""
         self.shown.lost_power(drive)
+        if self.leases is not None:
+            self.leases.lost_power(drive)
 
     def said(self, data: bytes) -> None:
         """A telegram goes out."""
@@ -120,6 +136,10 @@ class Invariants:
         telegram = self._telegrams.said(data, now_s)
         self._pauses.said(telegram)
         self._sayings.said(telegram)
+        if self.leases is not None:
+            loop = lecom_loop(self._site.worker)
+            going = loop.ready or loop.under_way  # what was prepared goes before it is under way
+            self.leases.said(telegram, going[0] if going is not None else None)
         if self._begun:
             if self._losses is not None:
                 self._losses.said(telegram.address, now_s)
@@ -140,6 +160,8 @@ class Invariants:
         self.wire.ended(report)
         self.shown.ended(report)
         telegrams = self._telegrams.ended(report)
+        if self.leases is not None:
+            self.leases.ended(report)
         if telegrams is not None:
             self._pauses.judge(*telegrams)
             self._sayings.judge(telegrams[1])
@@ -150,6 +172,19 @@ class Invariants:
             self.watchdogs.ended(report)
             self.promises.ended(report)
             self.turns.ended(report)
+
+    def _taken(self, request: Request) -> Callable[[Outcome], None]:
+        """Tell all who want to know of a request, and what became of it."""
+        taken = [self._sayings.taken(request)]
+        if self.leases is not None:
+            taken.append(self.leases.asked(request))
+
+        def ended(outcome: Outcome) -> None:
+            for one in taken:
+                if one is not None:
+                    one(outcome)
+
+        return ended
 
     # -- what the clients tell ---------------------------------------------------------------
 
@@ -182,3 +217,7 @@ class Invariants:
         """Note what did not hold."""
         if len(self.broken) < MOST_SAID:
             self.broken.append(f"at {self._now() - 1000.0:.3f} s: {text}")
+
+
+def _not_judged(_text: str) -> None:
+    """Waits are promised to clients that ask one after the other; controllers come besides."""

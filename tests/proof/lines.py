@@ -77,6 +77,7 @@ class RandomLine:
         as_written: C0135 of the drives reads what was written to it last.
         storms: What goes wrong besides, one after the other.
         pauses: When the daemon does not run, from the beginning on: after how long, for how long.
+        leased: Its drives have leases, and controllers take them.
     """
 
     seed: int
@@ -89,6 +90,7 @@ class RandomLine:
     as_written: bool = False
     storms: tuple[Storm, ...] = ()
     pauses: tuple[tuple[float, float], ...] = ()
+    leased: bool = False
 
     @property
     def adapter_s(self) -> float:

@@ -33,10 +33,11 @@ from lecombus.schedule.waiting import Waiting
 from lecombus.schedule.watchdog_set import WatchdogSet
 from lecombus.supervision.health import Health
 from lecombus.supervision.watchdogs import WatchdogAudit
+from proof.lease_lines import leased_line
 from proof.lines import RandomLine, line_of
 from proof.losses import tolerant_line
 
-__all__ = ["MUTANTS", "Mutant", "mutated"]
+__all__ = ["MUTANTS", "Mutant", "applied", "mutated"]
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,7 @@ class Mutant:
         seeds: Lines that show it, or one of which does.
         quick: It is in the tests that are run each time.
         tolerate: The lines are those of `losses`, with so many lost answers; None: random ones.
+        leased: The lines are those of `lease_lines`.
     """
 
     owner: object
@@ -60,9 +62,12 @@ class Mutant:
     seeds: tuple[int, ...]
     quick: bool = False
     tolerate: int | None = None
+    leased: bool = False
 
     def line(self, seed: int, length_s: float) -> RandomLine:
         """Give the line of one of its seeds."""
+        if self.leased:
+            return leased_line(seed, length_s)
         if self.tolerate is None:
             return line_of(seed, length_s)
         return tolerant_line(seed, tolerate=self.tolerate, losses=self.tolerate, length_s=length_s)
@@ -325,7 +330,13 @@ MUTANTS: dict[str, Mutant] = {
 @contextlib.contextmanager
 def mutated(name: str) -> Iterator[None]:
     """Let every line run with one mutant."""
-    mutant = MUTANTS[name]
+    with applied(MUTANTS[name]):
+        yield
+
+
+@contextlib.contextmanager
+def applied(mutant: Mutant) -> Iterator[None]:
+    """Let every line run with a mutant."""
     kept = inspect.getattr_static(mutant.owner, mutant.name)
     setattr(mutant.owner, mutant.name, _changed(mutant, kept))
     try:

@@ -4,6 +4,8 @@
     python -m proof.run --first 500         seeds that CI does not run
     python -m proof.run --seed 1234         one line again, with what broke
     python -m proof.run --seed 18 --tolerate 2 [--losses 3]    one line of lost answers again
+    python -m proof.run --leases            10,000 lines whose drives have leases, resumable too
+    python -m proof.run --leases --seed 7   one of them again
     python -m proof.run --mutants           every mutant on the lines that show it
 
 Besides the random lines it runs lines whose watchdogs just outlast 0 to 3 lost answers, with as
@@ -20,6 +22,7 @@ import argparse
 import hashlib
 import json
 import logging
+import math
 import os
 import signal
 import sys
@@ -32,13 +35,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import lecombus
+from proof.lease_lines import leased_line
+from proof.lease_mutants import LEASE_MUTANTS
 from proof.lines import RandomLine, line_of
 from proof.losses import MOST_TOLERATED, tolerant_line
-from proof.mutants import MUTANTS, mutated
+from proof.mutants import MUTANTS, applied
 from proof.world import Finding, run_line
 
 RECORD = Path(".proof/done.jsonl")
 LENGTH_S = 120.0
+LEASED_LINES = 10_000
 AHEAD = 3
 """Lines handed out for each process: none waits for the slowest."""
 LINES_EACH = 200
@@ -52,14 +58,17 @@ ACTED = "the watchdog of "
 
 
 class Asked(NamedTuple):
-    """A line that is to be run: a random one, or one whose watchdogs outlast lost answers."""
+    """A line to be run: a random one, with leases or not, or one that outlasts lost answers."""
 
     seed: int
     tolerate: int | None = None
     losses: int = 0
+    leased: bool = False
 
     def line(self, length_s: float) -> RandomLine:
         """Draw it."""
+        if self.leased:
+            return leased_line(self.seed, length_s)
         if self.tolerate is None:
             return line_of(self.seed, length_s)
         return tolerant_line(
@@ -73,15 +82,19 @@ class Asked(NamedTuple):
 
     def __str__(self) -> str:
         """Say how it is run again."""
+        if self.leased:
+            return f"--leases --seed {self.seed}"
         if self.tolerate is None:
             return f"--seed {self.seed}"
         return f"--seed {self.seed} --tolerate {self.tolerate} --losses {self.losses}"
 
 
-def asked_from(first: int) -> Iterator[Asked]:
+def asked_from(first: int, *, leased: bool = False) -> Iterator[Asked]:
     """Give the lines to be run, without end."""
     for seed in count(first):
-        yield Asked(seed)
+        yield Asked(seed, leased=leased)
+        if leased:
+            continue
         if seed % LOST_EVERY == LOST_EVERY - 1:
             tolerate = seed // LOST_EVERY % (MOST_TOLERATED + 1)
             yield Asked(seed, tolerate, tolerate)
@@ -138,6 +151,10 @@ def _arguments() -> argparse.ArgumentParser:
         "--jobs", type=_from(1), default=os.cpu_count() or 1, help="processes, one a core"
     )
     parser.add_argument("--mutants", action="store_true", help="run the mutants instead")
+    parser.add_argument("--leases", action="store_true", help="lines whose drives have leases")
+    parser.add_argument(
+        "--lines", type=_from(1), default=LEASED_LINES, help="with --leases: so many in all"
+    )
     return parser
 
 
@@ -146,18 +163,20 @@ class Record:
 
     Args:
         of: The digest of the program.
+        leased: Only lines with leases count, else only those without.
     """
 
-    def __init__(self, of: str) -> None:
+    def __init__(self, of: str, *, leased: bool = False) -> None:
         self.of = of
+        self.leased = leased
         self.done: dict[Asked, dict[str, Any]] = {}
         for text in RECORD.read_text().splitlines() if RECORD.exists() else ():
             try:
                 row = json.loads(text)
             except ValueError:  # torn: it was being written when the computer stopped
                 continue
-            if row["program"] == of:
-                asked = Asked(row["seed"], row.get("tolerate"), row.get("losses", 0))
+            if row["program"] == of and bool(row.get("leases")) is leased:
+                asked = Asked(row["seed"], row.get("tolerate"), row.get("losses", 0), leased)
                 self.done[asked] = row
 
     @property
@@ -178,6 +197,8 @@ class Record:
         }  # fmt: skip
         if asked.tolerate is not None:
             row |= {"tolerate": asked.tolerate, "losses": asked.losses, "acted": acted}
+        if found.leases:
+            row["leases"] = found.leases
         self.done[asked] = row
         RECORD.parent.mkdir(exist_ok=True)
         with RECORD.open("a") as file:
@@ -186,14 +207,17 @@ class Record:
 
     def say(self, wanted_s: float) -> bool:
         """Say in plain words how far the proof is, and what it found; whether nothing broke."""
-        rows, hours, wanted_h = self.done.values(), self.line_s / 3600.0, wanted_s / 3600.0
+        rows, hours = self.done.values(), self.line_s / 3600.0
+        of = "" if math.isinf(wanted_s) else f"of {wanted_s / 3600.0:g} "
         kinds = ", ".join(f"{n} {kind}" for kind, n in Counter(r["kind"] for r in rows).items())
         print(
-            f"program {self.of}: {hours:.2f} of {wanted_h:g} hours of line time, "
+            f"program {self.of}: {hours:.2f} {of}hours of line time, "
             f"{len(rows)} lines ({kinds or 'none'}), {sum(r['exchanges'] for r in rows)} exchanges"
         )
         for tolerate in range(MOST_TOLERATED + 1):
             self._say_lost(tolerate)
+        if self.leased:
+            self._say_leases()
         broken = {asked: row["broken"] for asked, row in self.done.items() if row["broken"]}
         for asked, texts in broken.items():
             print(f"broken: {asked}: {texts[0]}")
@@ -202,6 +226,15 @@ class Record:
         else:
             print(f"{len(broken)} lines broken; one again: make proof ARGS='{next(iter(broken))}'")
         return not broken
+
+    def _say_leases(self) -> None:
+        """Say what the lines have shown of leases."""
+        total: Counter[str] = Counter()
+        for row in self.done.values():
+            total.update({name: n for name, n in row["leases"].items() if name != "latest"})
+        latest = max((row["leases"]["latest"] for row in self.done.values()), default=0.0)
+        print(", ".join(f"{n} {name}" for name, n in total.items()))
+        print(f"the latest stop of a lapse began after {latest:.0%} of its bound")
 
     def _say_lost(self, tolerate: int) -> None:
         of = [(asked, row) for asked, row in self.done.items() if asked.tolerate == tolerate]
@@ -224,9 +257,11 @@ def main() -> int:
         return _mutants()
     if args.seed is not None:
         losses = args.tolerate or 0 if args.losses is None else args.losses
-        return _again(Asked(args.seed, args.tolerate, losses), args.length)
+        return _again(Asked(args.seed, args.tolerate, losses, args.leases), args.length)
     if args.tolerate is not None or args.losses is not None:
         parser.error("--tolerate and --losses need --seed")
+    if args.leases:
+        return _many_leased(args.lines, args.length, args.jobs, args.first)
     return _many(args.hours * 3600.0, args.length, args.jobs, args.first)
 
 
@@ -244,10 +279,10 @@ def _again(asked: Asked, length_s: float) -> int:
 def _mutants() -> int:
     """Run every mutant on the lines that show it; the exit status is 1 if one was not found out."""
     missed = 0
-    for name, mutant in MUTANTS.items():
+    for name, mutant in (MUTANTS | LEASE_MUTANTS).items():
         noticed = 0
         for seed in mutant.seeds:
-            with mutated(name):
+            with applied(mutant):
                 broken = run_line(mutant.line(seed, MUTANT_LENGTH_S)).broken
             noticed += bool(broken)
             print(f"{name}, seed {seed}: {broken[0] if broken else 'not noticed'}", flush=True)
@@ -256,27 +291,47 @@ def _mutants() -> int:
 
 
 def _many(wanted_s: float, length_s: float, jobs: int, first: int) -> int:
-    of = program()
-    record = Record(of)
+    record = Record(program())
+    return _run_to(record, lambda: record.line_s >= wanted_s, wanted_s, length_s, jobs, first)
+
+
+def _many_leased(lines: int, length_s: float, jobs: int, first: int) -> int:
+    record = Record(program(), leased=True)
+    wanted_s = math.inf  # lines are counted, not hours
+    return _run_to(record, lambda: len(record.done) >= lines, wanted_s, length_s, jobs, first)
+
+
+def _run_to(
+    record: Record,
+    is_enough: Callable[[], bool],
+    wanted_s: float,
+    length_s: float,
+    jobs: int,
+    first: int,
+) -> int:
     print(f"{record.line_s / 3600:.2f} h of this program so far", file=sys.stderr, flush=True)
     try:
-        status = _run_many(record, wanted_s, length_s, jobs, first)
+        status = _run_many(record, is_enough, length_s, jobs, first)
     except BrokenProcessPool:
-        print(f"the program is no longer {of}, or a process was killed: begin again", flush=True)
+        text = f"the program is no longer {record.of}, or a process was killed: begin again"
+        print(text, flush=True)
         status = CHANGED
     sound = record.say(wanted_s)
     return status or (0 if sound else 1)
 
 
-def _run_many(record: Record, wanted_s: float, length_s: float, jobs: int, first: int) -> int:
+def _run_many(
+    record: Record, is_enough: Callable[[], bool], length_s: float, jobs: int, first: int
+) -> int:
     said_s, of = record.line_s, record.of
-    missing = (asked for asked in asked_from(first) if asked not in record.done)
+    asked_for = asked_from(first, leased=record.leased)
+    missing = (asked for asked in asked_for if asked not in record.done)
     with ProcessPoolExecutor(
         jobs, max_tasks_per_child=LINES_EACH, initializer=_begin_process, initargs=(of,)
     ) as pool:
         under_way: dict[Future[Finding], Asked] = {}
         try:
-            while record.line_s < wanted_s:
+            while not is_enough():
                 for asked in islice(missing, AHEAD * jobs - len(under_way)):
                     under_way[pool.submit(prove_asked, asked, length_s)] = asked
                 wait(under_way, return_when=FIRST_COMPLETED)

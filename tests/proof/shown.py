@@ -90,10 +90,13 @@ class Shown:
         self._given: dict[tuple[str, Code], tuple[str, float]] = {}
         self._free: dict[str, tuple[bool, bool]] = {}
         self._enabling: dict[str, int] = {}
+        self._states: dict[str, DriveState] = {}
         self._powerless: set[str] = set()  # lost their supply and are not known to be back
         self._left: set[str] = set()
         self._enabled_s: dict[str, float] = {}
         self._proven: dict[str, bool] = {}
+        self._proven_s: dict[str, float] = {}
+        self._leased = line.leased
 
     # -- what the clients tell ---------------------------------------------------------------
 
@@ -127,7 +130,10 @@ class Shown:
             self._say(f"the stop of {drive} was given up after {tried_s:.1f} s")
         model = self._sim[drive].model
         standing = model.pulses_off() or model.stop_wanted()
-        if outcome == Outcome.VERIFIED and not self._proven.get(drive):
+        proven = self._proven.get(drive)
+        if self._leased:  # the multicast of a lapse may come behind the proof of another stop
+            proven = proven or self._proven_s.get(drive, -math.inf) >= asked_s
+        if outcome == Outcome.VERIFIED and not proven:
             self._say(f"the stop of {drive} is called verified, and was not read back")
         if outcome == Outcome.VERIFIED and not standing and not self._is_enabled(drive):
             self._say(f"the stop of {drive} is called verified, and it is not stopped")
@@ -148,6 +154,8 @@ class Shown:
             return
         if one.stop:
             self._proven[name] = one.text is None and one.answered
+            if self._proven[name]:
+                self._proven_s[name] = self._clock()
         self._silent[name] = 0 if one.heard else self._silent[name] + 1
         if one.text is not None:
             self._look_at_motor(self._sim[name])
@@ -197,8 +205,11 @@ class Shown:
         if since_s != self._line_since_s:
             self._line_since_s = since_s
             self._silent = dict.fromkeys(self._silent, 0)
-        for name, silent in self._silent.items():
+        for name, silent in list(self._silent.items()):
             state = store.state(name)
+            if state is DriveState.STARTING and self._states.get(name) is not state:
+                silent = self._silent[name] = 0  # it is asked from the beginning
+            self._states[name] = state
             if silent > SILENT and state is not DriveState.OFFLINE:
                 self._say(f"{name} is shown as {state}, and {silent} telegrams drew nothing")
             if name in self._powerless and state is DriveState.ONLINE:

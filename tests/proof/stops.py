@@ -12,7 +12,7 @@ Judged by the reports of the exchanges: they tell in which class each was, and w
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 from lecombus.capacity.plan import Promises, make_promises
@@ -61,10 +61,13 @@ class Stops:
         self._others_s = 0.0  # line time of stops and of exchanges that failed
         self._others = 0
         self.paused_s: Callable[[float, float], float] = _never_paused
+        self.begun: Collection[str] = ()  # drives that the daemon is stopping by itself
 
     def asked(self, drive: str, now_s: float) -> None:
         """A drive is to be stopped."""
         self._asked[drive] += 1
+        if drive in self.begun:
+            return  # it joins a stop that was said before
         if drive in self._site.schedule.silent:
             self._silent.setdefault(drive, _Waiting(now_s, self._others_s, self._others))
         else:
@@ -124,11 +127,16 @@ class Stops:
     def _judge_wait(self, name: str, one: _Waiting, began_s: float) -> None:
         waited_s = began_s - one.since_s
         more_s = self._stopped_s - one.others_s + self.paused_s(one.since_s, began_s)
-        promised_s = self._promise(lambda plan: plan.wait("stop").loaded_s, waited_s - more_s)
-        if waited_s > promised_s + more_s:  # watchdogs of drives that are away hold nothing back
-            promised_s = self._plan_as_measured(watched=False).wait("stop").loaded_s
+        promised_s = self.promised_s(waited_s - more_s)
         if waited_s > promised_s + more_s:
             self._say_late(f"the stop of {name}", waited_s, promised_s + more_s)
+
+    def promised_s(self, needed_s: float) -> float:
+        """Give within what a stop begins; `needed_s`: how long this one took, others' apart."""
+        promised_s = self._promise(lambda plan: plan.wait("stop").loaded_s, needed_s)
+        if needed_s > promised_s:  # watchdogs of drives that are away hold nothing back
+            promised_s = self._plan_as_measured(watched=False).wait("stop").loaded_s
+        return promised_s
 
     def _watch_silent(self, report: ExchangeReport) -> None:
         """Judge what went before stops of silent drives, and how long these waited."""

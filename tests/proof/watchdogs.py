@@ -34,7 +34,8 @@ class Watchdogs:
     def __init__(
         self, line: RandomLine, plan: Promises, sim: SimLine, say: Callable[[str], None]
     ) -> None:
-        self._judged = line.kind != "faulty"
+        # Silenced drives leave others room for exchanges that their own watchdogs do not outlast.
+        self._judged = line.kind != "faulty" and not (line.leased and line.kind == "tolerant")
         self._excuses = line.kind != "tolerant"
         self._round_s = plan.silent_stop.quiet_s
         self._say = say
@@ -57,6 +58,10 @@ class Watchdogs:
     def left(self, drive: str) -> None:
         """A drive goes away: its own may act."""
         self._gone.add(drive)
+
+    def excuse(self, until_s: float) -> None:
+        """More stops at once than watchdogs need outlast: judge none until then."""
+        self._excused_until_s = max(self._excused_until_s, until_s)
 
     def ended(self, report: ExchangeReport) -> None:
         """Look whether one acted during or since the last exchange."""

@@ -10,13 +10,16 @@ from __future__ import annotations
 import asyncio
 import gc
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 
 import anyio
 
+from lecombus.config import DriveEntry
+from lecombus.drive_state.readings import DriveState
 from lecombus.fieldbus.lecom.simulator.line import SimLine, build
 from lecombus.schedule import Priority
 from proof.clients import Clients
+from proof.controllers import Controllers
 from proof.invariants import Invariants
 from proof.lines import RandomLine
 from support.drives import presets
@@ -46,6 +49,7 @@ class Finding:
         took_s: Processor time it took.
         digest: Of every byte that was said and heard, and when.
         most: By what was promised: how near the longest came to it, 1 is as promised.
+        leases: What it has shown of leases; empty: it has none.
     """
 
     line: RandomLine
@@ -55,6 +59,7 @@ class Finding:
     took_s: float
     digest: str
     most: dict[str, float]
+    leases: dict[str, float] = field(default_factory=dict)
 
 
 class World:
@@ -81,10 +86,21 @@ class World:
                 async with anyio.create_task_group() as tasks:
                     clients = Clients(self.site, self.line, self.invariants, self.sim)
                     tasks.start_soon(clients.run)
+                    controllers = self._controllers(clients)
+                    if controllers is not None:
+                        tasks.start_soon(controllers.run)
                     await anyio.sleep(self.line.length_s)
                     clients.stop()
+                    if controllers is not None:
+                        controllers.stop()
                     patience.deadline = anyio.current_time() + PATIENCE_S
             self.invariants.end()
+
+    def _controllers(self, clients: Clients) -> Controllers | None:
+        checks = self.invariants.leases
+        if checks is None:
+            return None
+        return Controllers(self.site, self.line, self.invariants, checks, clients.next_value)
 
     def _let_pause(self) -> None:
         """Have the daemon not run now and then, from here on."""
@@ -104,10 +120,15 @@ class World:
 
     def _is_settled(self) -> bool:
         """Whether all drives are there and what the daemon wants to know of them is known."""
-        if not self.plant.is_online:
+        if not all(map(self._is_there, self.line.roster.drives)):
             return False
         waiting = self.site.schedule.stats(asyncio.get_running_loop().time()).depth
         return not waiting[Priority.BACKGROUND]
+
+    def _is_there(self, drive: DriveEntry) -> bool:
+        """Whether a drive is online; one that ran without its lease may be silenced."""
+        silenced = self.line.leased and drive.lease.required and drive.lease.on_lapse == "silence"
+        return silenced or self.site.store.state(drive.name) is DriveState.ONLINE
 
 
 def _simulated(line: RandomLine) -> SimLine:
@@ -165,4 +186,5 @@ def run_line(line: RandomLine) -> Finding:
     return Finding(
         line, tuple(found.broken), found.exchanges, line_s, time.process_time() - started_s,
         found.wire.digest, found.promises.most | found.turns.most,
+        {} if found.leases is None else asdict(found.leases.counts),
     )  # fmt: skip
