@@ -592,5 +592,10 @@ class LecomExchangeLoop:
 
 
 def why_unwanted(request: Request, job: Job) -> str:
-    """Say why the next telegram of a request may not be sent any more; empty: it may."""
-    return request.why_unwanted(writes=job.step.kind is not StepKind.READ)
+    """Say why the next telegram of a request may not be sent any more; empty: it may.
+
+    The step is looked at only where a lease asks for it: that of a stop is made at the first look,
+    and must not be made before the last exchange is published (`_ask`).
+    """
+    writes = request.lease_ended is not None and job.step.kind is not StepKind.READ
+    return request.why_unwanted(writes=writes)
