@@ -162,3 +162,17 @@ def test_a_stop_that_waits_stands_for_a_later_one_and_ends_the_motion_that_came_
     assert world.outcome(moving) == (Outcome.SUPERSEDED, STOPPED)
     assert world.step() is stop
     assert not world.schedule.join(stop), "it was said: the later one must be said too"
+
+
+def test_a_drive_is_spoken_to_while_its_stop_waits_and_while_it_is_under_way() -> None:
+    world = World().drives("a", "b")
+    assert not world.schedule.is_speaking_to("a")
+    world.submit("a", P.STOP)
+    assert world.schedule.is_speaking_to("a")
+    during: list[bool] = []
+    world.at(0.001, lambda: during.append(world.schedule.is_speaking_to("a")))
+    world.step()
+    assert during == [True]
+    assert not world.schedule.is_speaking_to("a")
+    world.submit("b", P.CONTROL)
+    assert not world.schedule.is_speaking_to("b"), "what is no stop may wait until it expires"

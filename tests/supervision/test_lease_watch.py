@@ -332,6 +332,33 @@ def test_a_silenced_drive_is_not_spoken_to_before_its_watchdog_had_its_time() ->
     with_plant(test, roster(policy="silence"))
 
 
+@pytest.mark.parametrize("target", ["a", "all"])
+@pytest.mark.parametrize("after_s", [2.9, 3.0, 3.1])
+def test_a_stop_under_way_feeds_a_silenced_drive_and_its_watchdog_gets_its_time_again(
+    target: str, after_s: float
+) -> None:
+    async def test(plant: Plant) -> None:
+        async with controlled(plant, "ab") as first:
+            first.alive = False
+        await anyio.sleep(2.2)
+        last_s = max(one.at_s for one in plant.sent_to(11))
+        client = Client(plant, "next")
+        client.take("ab")
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(client.renewing)
+            await anyio.sleep(last_s + after_s - plant.now_s)
+            plant.line.drive_faults[11] = Faults(lost=1.0)
+            tasks.start_soon(client.ops.stop, StopAction.INHIBIT, target)
+            await anyio.sleep(1.0)
+            plant.line.drive_faults[11] = Faults()
+            await until(lambda: not plant.site.drives.get("a").health.silenced, within_s=60.0)
+            fed_s = max(one.at_s for one in plant.sent_to(11) if one.at_s < plant.now_s - 0.01)
+            assert plant.now_s - fed_s >= 3.0
+            client.alive = False
+
+    with_plant(test, roster(policy="silence", names="ab"))
+
+
 def test_a_reload_and_a_reopened_port_do_not_end_a_silence() -> None:
     async def test(plant: Plant) -> None:
         async with controlled(plant) as client:

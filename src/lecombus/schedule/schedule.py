@@ -147,6 +147,12 @@ class Schedule(DriveTable):
         self._lookahead.invalidate()
         self._waiting.take_back(request, until_s, now_s)
 
+    def is_speaking_to(self, drive: str) -> bool:
+        """Whether an exchange with a drive is under way, or a stop of it waits."""
+        waiting = self._waiting.listed(drive=drive, stops=True)
+        stops = any(one.priority is Priority.STOP for one in waiting)
+        return stops or self._speaking_to == drive
+
     def join(self, stop: Request) -> bool:
         """Let a stop that was not yet sent stand for a new one like it; return whether it can."""
         self._lookahead.invalidate()

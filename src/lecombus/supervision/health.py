@@ -21,6 +21,7 @@ import asyncio
 import logging
 from collections.abc import Callable
 
+from lecombus.capacity.exchange_costs import watched_s
 from lecombus.drive_state.drive_runtime import Drive, HealthRecord, LineDrives, RunningAudit
 from lecombus.drive_state.readings import DriveState
 from lecombus.drive_state.store import Store
@@ -156,6 +157,10 @@ class Health:
         result = event.report.result
         if event.report.step.kind is not StepKind.MULTICAST:
             self.judge(event.drives[0], result.kind, result.fault)
+            return
+        for drive in event.drives:
+            if drive.health.silenced:
+                drive.health.silent_since_s = self._clock()
 
     def judge(self, drive: Drive, kind: ResultKind, fault: str) -> None:
         """Take the end of one exchange with a drive.
@@ -167,8 +172,7 @@ class Health:
         """
         health = drive.health
         if health.silenced:  # a stop went out to it, or its last exchange ends
-            if kind is not ResultKind.LOST:
-                health.silent_since_s = self._clock()
+            health.silent_since_s = self._clock()
             return
         if kind is ResultKind.ANSWERED:
             if not health.heard:
@@ -200,6 +204,14 @@ class Health:
         self._set(drive, DriveState.OFFLINE, reason)
         self._schedule.set_probe(drive.name, None, now)
         self._schedule.park(drive.name, now, f"{drive.name} is offline: {reason}")
+
+    def is_silence_over(self, drive: Drive) -> bool:
+        """Whether a silenced drive's watchdog has had its time since the last telegram to it.
+
+        A stop that waits or is under way feeds the drive once more: it is not over before that.
+        """
+        over_s = drive.health.silent_since_s + (watched_s(drive.entry) or 0.0)
+        return self._clock() >= over_s and not self._schedule.is_speaking_to(drive.name)
 
     def end_silence(self, drive: Drive) -> None:
         """Speak to a drive again; it is audited before it is called online."""

@@ -28,7 +28,6 @@ from typing import Final
 
 import anyio
 
-from lecombus.capacity.exchange_costs import watched_s
 from lecombus.capacity.lease_bounds import stops_by_silence
 from lecombus.drive_state.drive_runtime import Drive
 from lecombus.drive_state.motion import Doing
@@ -154,7 +153,7 @@ class LeaseWatch:
             self._book.start_done(name)
             self._to_look_at.add(name)
         for name in list(self._silenced):
-            self._end_silence(name, now_s)
+            self._end_silence(name)
         found: list[EndedLease] = []
         for name, control in self._book.drives.items():
             if control.latch is None:
@@ -192,14 +191,13 @@ class LeaseWatch:
         motion = self._store.motion(name)
         return motion.doing is Doing.STOPPED and not motion.stale
 
-    def _end_silence(self, name: str, now_s: float) -> None:
+    def _end_silence(self, name: str) -> None:
         """Speak to a drive again once a lease is held for it and its watchdog has had its time."""
         drive, control = self._drives.find(name), self._book.drives.get(name)
         if drive is None or control is None:
             del self._silenced[name]
             return
-        over_s = drive.health.silent_since_s + (watched_s(drive.entry) or 0.0)
-        if control.lease is not None and now_s >= over_s:
+        if control.lease is not None and self._health.is_silence_over(drive):
             del self._silenced[name]
             if control.terms.on_lapse in set(StopAction):
                 self._to_look_at.add(name)
