@@ -133,7 +133,7 @@ LEASE_MUTANTS: dict[str, Mutant] = {
     "a silence ends before the watchdog's time": Mutant(
         LeaseWatch,
         "_end_silence",
-        "control.lease is not None and now_s >= over_s",
+        "control.lease is not None and self._health.is_silence_over(drive)",
         "control.lease is not None",
         (9, 13),
         leased=True,
