@@ -12,6 +12,7 @@ from lecombus.drive_state.store import Store
 from lecombus.drives import family
 from lecombus.fieldbus.loop_interface import ResultKind
 from lecombus.line_events import LineChange
+from lecombus.roster import WatchdogEntry
 from lecombus.schedule import Outcome, Priority, Request, Schedule
 from lecombus.supervision.health import AuditQueue, Health
 from support.single_drives import drive_of
@@ -225,3 +226,30 @@ def test_one_missed_answer_makes_no_audit_due() -> None:
     ward.now_s += 100.0
     ward.health.check_overdue()
     assert ward.state is ONLINE
+
+
+@pytest.mark.parametrize("kind", [GOOD, MISSED, ResultKind.LOST])
+def test_a_silence_lasts_while_a_stop_waits_or_is_under_way_and_then_a_watchdog_time(
+    kind: ResultKind,
+) -> None:
+    """Each telegram of a stop feeds the drive, also one that is not answered."""
+    ward, watchdog_s = Ward(), 3.0
+    watchdog = WatchdogEntry(time_s=watchdog_s, action="inhibit", configure=True)
+    ward.drive.entry = ward.drive.entry.model_copy(update={"watchdog": watchdog})
+    ward.health.silence(ward.drive, "so that its watchdog acts")
+    assert not ward.health.is_silence_over(ward.drive)
+    ward.now_s += watchdog_s
+    assert ward.health.is_silence_over(ward.drive)
+    ward.schedule.submit(
+        Request("a", Priority.STOP, 0.02, 0.1, lambda outcome, reason: None), ward.now_s
+    )
+    assert not ward.health.is_silence_over(ward.drive), "its stop waits"
+    stop = ward.schedule.next(ward.now_s)
+    assert stop is not None
+    assert not ward.health.is_silence_over(ward.drive), "its stop is under way"
+    ward.now_s += 0.1
+    ward.schedule.finished(stop, ward.now_s - 0.1, ward.now_s, kind is GOOD)
+    ward.health.judge(ward.drive, kind, "")
+    assert not ward.health.is_silence_over(ward.drive), "the stop fed it"
+    ward.now_s += watchdog_s
+    assert ward.health.is_silence_over(ward.drive)

@@ -333,9 +333,8 @@ def test_a_silenced_drive_is_not_spoken_to_before_its_watchdog_had_its_time() ->
 
 
 @pytest.mark.parametrize("target", ["a", "all"])
-@pytest.mark.parametrize("after_s", [2.9, 3.0, 3.1])
-def test_a_stop_under_way_feeds_a_silenced_drive_and_its_watchdog_gets_its_time_again(
-    target: str, after_s: float
+def test_a_silenced_drive_that_was_stopped_is_silent_for_its_watchdog_time_again(
+    target: str,
 ) -> None:
     async def test(plant: Plant) -> None:
         async with controlled(plant, "ab") as first:
@@ -346,7 +345,7 @@ def test_a_stop_under_way_feeds_a_silenced_drive_and_its_watchdog_gets_its_time_
         client.take("ab")
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(client.renewing)
-            await anyio.sleep(last_s + after_s - plant.now_s)
+            await anyio.sleep(last_s + 2.9 - plant.now_s)
             plant.line.drive_faults[11] = Faults(lost=1.0)
             tasks.start_soon(client.ops.stop, StopAction.INHIBIT, target)
             await anyio.sleep(1.0)
