@@ -41,7 +41,7 @@ def check(size: int, name: str) -> None:
         assert before.worse_than(Picture(wrote_s={"": 0.3})) == []
         await PATTERNS[name].happen(plant)
         for _ in range(int(AFTER_S)):
-            plant.site.watch.look()
+            plant.site.supervision.watch.look()
             await anyio.sleep(1.0)
         assert (await look(plant, 11)).worse_than(before) == []
 

@@ -156,11 +156,11 @@ def test_a_cadence_the_line_cannot_hold_is_remarked() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()
         await anyio.sleep(30.0)
-        plant.site.watch.look()
+        plant.site.supervision.watch.look()
         assert "cannot hold the cyclic reads" in plant.site.store.line().remarks["cadence"]
         plant.apply(roster_text(AB))
         await anyio.sleep(120.0)
-        plant.site.watch.look()
+        plant.site.supervision.watch.look()
         assert "cadence" not in plant.site.store.line().remarks
 
     with_plant(test, roster_text(AB, drive="cyclic: [{code: C0150, every: 50ms}]"))
@@ -173,7 +173,7 @@ def test_what_was_not_read_while_the_line_was_lost_is_no_remark_about_its_cadenc
         plant.end.unplug()
         for _ in range(60):
             await anyio.sleep(1.0)
-            plant.site.watch.look()
+            plant.site.supervision.watch.look()
             assert "cadence" not in plant.site.store.line().remarks
 
     with_plant(test, roster_text(AB))
@@ -187,7 +187,7 @@ def test_drives_that_are_being_started_raise_no_alarm_about_the_cadence() -> Non
         begun_s = plant.now_s
         while plant.now_s - begun_s < 120.0:
             await anyio.sleep(1.0)
-            plant.site.watch.look()
+            plant.site.supervision.watch.look()
             assert "cadence" not in plant.site.store.line().remarks
         await plant.online()
 
@@ -201,11 +201,11 @@ def test_a_drive_that_never_ends_starting_hides_the_remark_for_minutes_only() ->
         await plant.online()
         plant.site.drives.get("b").health.state = DriveState.STARTING
         await anyio.sleep(60.0)
-        plant.site.watch.look()
+        plant.site.supervision.watch.look()
         assert "cadence" not in plant.site.store.line().remarks
         for _ in range(700):
             await anyio.sleep(1.0)
-            plant.site.watch.look()
+            plant.site.supervision.watch.look()
         assert "cadence" in plant.site.store.line().remarks
 
     with_plant(test, roster_text(AB, baud=1200, drive="cyclic: [{code: C0150, every: 50ms}]"))

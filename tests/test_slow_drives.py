@@ -38,7 +38,7 @@ def slow_down(plant: Plant, drive: str, factor: float, *, most_s: float = 10.0) 
 
 async def work(plant: Plant, seconds: int) -> None:
     for _ in range(seconds):
-        plant.site.watch.look()
+        plant.site.supervision.watch.look()
         await anyio.sleep(1.0)
 
 
@@ -84,7 +84,7 @@ def test_the_plan_of_the_running_line_reckons_with_what_was_measured() -> None:
     async def test(plant: Plant) -> None:
         slow_down(plant, "b", 3.0)
         await work(plant, 150)
-        document = json.loads(encode(plant.site.watch.plan_facts(plant.site.roster)))
+        document = json.loads(encode(plant.site.supervision.watch.plan_facts(plant.site.roster)))
         plan, promised = make_plan(running(document["roster"])), make_plan(plant.roster)
         by_manual = {(one.drive, one.what): one.times for one in promised.exchanges}
         for one in plan.exchanges:
@@ -142,7 +142,7 @@ def test_a_new_roster_entry_begins_anew() -> None:
         await work(plant, 60)
         text = roster_text(TWO, drive="cyclic: [{code: C0150, every: 500ms}], answer_time: 150ms")
         plant.apply(text)
-        plant.site.watch.look()
+        plant.site.supervision.watch.look()
         assert "answers later" not in remarks(plant, "b")
         await work(plant, 60)
         assert plant.state("b") is DriveState.ONLINE

@@ -217,8 +217,8 @@ class Daemon:
                 line.start_soon(keeping.run, partial(runtime.store.note_line, "state"))
                 if journal is not None:
                     line.start_soon(journal.run, partial(runtime.store.note_line, "journal"))
-                line.start_soon(runtime.supervisor.run)
-                line.start_soon(runtime.lease_watch.run)
+                line.start_soon(runtime.supervision.drives.run)
+                line.start_soon(runtime.supervision.leases.run)
                 line.start_soon(runtime.worker.run)
                 faces.start_soon(self._tick, faces, runtime)
                 await self._end.wait()
@@ -239,7 +239,7 @@ class Daemon:
             journal, runtime.store, refuses=entry.on_failure == "refuse"
         )
         record.follow(runtime.operations)
-        runtime.watch.journal = journal.figures
+        runtime.supervision.watch.journal = journal.figures
         journal.head_logged = lambda head: runtime.events.publish("line", "", {"journal": head})
         await record.started(self._roster, __version__)
 
@@ -252,13 +252,15 @@ class Daemon:
         self, faces: anyio.abc.TaskGroup, runtime: LineRuntime, journal: Journal | None
     ) -> None:
         api = self._roster.api
-        readers = EventReaders(runtime.events, runtime.event_sources.look, anyio.current_time)
+        readers = EventReaders(
+            runtime.events, runtime.supervision.event_sources.look, anyio.current_time
+        )
         faces.start_soon(readers.run)
         app = create_app(
             runtime.operations,
             runtime.store,
             runtime.metrics,
-            plan_facts=lambda: runtime.watch.plan_facts(runtime.roster),
+            plan_facts=lambda: runtime.supervision.watch.plan_facts(runtime.roster),
             line_name=self._roster.line.name,
             port=self._roster.line.port,
             baud=self._roster.line.baud,
@@ -379,8 +381,8 @@ class Daemon:
     async def _tick(self, faces: anyio.abc.TaskGroup, runtime: LineRuntime) -> None:
         """Report to the service manager, and update the store, once a second."""
         while True:
-            runtime.watch.look()
-            if not self._looking and runtime.watch.wants_look_at_port():
+            runtime.supervision.watch.look()
+            if not self._looking and runtime.supervision.watch.wants_look_at_port():
                 self._looking = True
                 faces.start_soon(self._look_at_port, runtime)
             if not self._ready and runtime.tried_all():
@@ -398,7 +400,7 @@ class Daemon:
         """Look who else has the port open, beside the line."""
         port = self._roster.line.port
         try:
-            runtime.watch.port.found(
+            runtime.supervision.watch.port.found(
                 await anyio.to_thread.run_sync(others_at, port, abandon_on_cancel=True)
             )
         finally:

@@ -35,13 +35,9 @@ from lecombus.operations.awaited_requests import Requests
 from lecombus.operations.facade import Operations
 from lecombus.saved_state import State
 from lecombus.schedule import Schedule
-from lecombus.supervision.drive_changes import DriveChanges
-from lecombus.supervision.drive_supervisor import DriveSupervisor
-from lecombus.supervision.event_sources import EventSources
 from lecombus.supervision.exchange_recorder import ExchangeRecorder, follow_line
-from lecombus.supervision.lease_watch import LeaseWatch
 from lecombus.supervision.line_requests import RequestsToLine
-from lecombus.supervision.line_watch import LineWatch
+from lecombus.supervision.line_supervision import LineSupervision
 
 __all__ = ["LineRuntime"]
 
@@ -102,31 +98,12 @@ class LineRuntime:
             disturbances=lambda: recorder.disturbances,
         )  # fmt: skip
         follow_line(recorder, store, metrics, asked, operations, clock, wall)
-        self._look_after(asked, recorder, line, clock)
-        self.apply(roster)
-
-    def _look_after(
-        self,
-        asked: RequestsToLine,
-        recorder: ExchangeRecorder,
-        line: LineEntry,
-        clock: Callable[[], float],
-    ) -> None:
-        """Make what looks after the drives unasked, and what publishes events."""
-        requests, store, metrics = self.requests, self.store, self.metrics
-        operations = self.operations
-        self.supervisor = DriveSupervisor(requests, store, self.health, operations, clock)
-        self.lease_watch = LeaseWatch(requests, store, operations, self.health, clock)
-        self._changes = DriveChanges(requests, store, metrics, self.health, self.supervisor, clock)
         self.events = EventStream(secrets.token_hex(4))
-        self.event_sources = EventSources(
-            self.events, store, operations.actions, line.name, self._members, clock
-        )
-        operations.leases.followers += (self.event_sources.lease_changed,)
-        self.watch = LineWatch(
-            requests, store, metrics, recorder, asked, operations, self.lease_watch, self.events,
-            line, clock,
+        self.supervision = LineSupervision(
+            requests, store, metrics, recorder, asked, operations, self.events, line,
+            self._members, clock,
         )  # fmt: skip
+        self.apply(roster)
 
     def apply(self, roster: Roster) -> RosterChanges:
         """Take a roster's drives and groups; drives that did not change are left alone.
@@ -145,11 +122,11 @@ class LineRuntime:
                 file=roster.file,
             )
         changes = roster_changes(self.roster, roster)
-        self._changes.apply(self.roster, roster)
+        self.supervision.changes.apply(self.roster, roster)
         self.state.bound(entry.name for entry in roster.drives)
         self.operations.set_roster(roster.drives, roster.groups)
         self.operations.readdressing.roster_changed()
-        self.lease_watch.roster_changed()
+        self.supervision.leases.roster_changed()
         self.roster = roster
         self.worker.nudge()
         return changes
@@ -165,7 +142,7 @@ class LineRuntime:
 
     def _snapshot(self) -> LineSnapshot:
         """Return what the metrics show of the line at this moment."""
-        return self.watch.snapshot()
+        return self.supervision.watch.snapshot()
 
     def _members(self, group: str) -> tuple[str, ...]:
         entry = self.roster.groups.get(group)

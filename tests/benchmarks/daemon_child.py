@@ -179,7 +179,7 @@ class Bench:
         self._record = self._record or records[0]
         others = tuple(one for one in actions.followers if one is not self._record)
         actions.followers = (self._record, *others) if on else others
-        figures = self.site.watch.journal
+        figures = self.site.supervision.watch.journal
         assert figures is not None
         return figures().rows
 

@@ -28,7 +28,7 @@ DRIVES = [("a", 1, "8200vector"), ("b", 2, "smvector"), ("c", 3, "821x")]
 
 def carried(plant: Plant) -> Any:
     """The facts as they come out of JSON."""
-    return json.loads(encode(plant.site.watch.plan_facts(plant.site.roster)))
+    return json.loads(encode(plant.site.supervision.watch.plan_facts(plant.site.roster)))
 
 
 def live_of(plant: Plant) -> LivePlan:
@@ -39,7 +39,7 @@ def live_of(plant: Plant) -> LivePlan:
 async def work(plant: Plant, seconds: int) -> None:
     """Let a line run, looked at once a second as the daemon does."""
     for _ in range(seconds):
-        plant.site.watch.look()
+        plant.site.supervision.watch.look()
         await anyio.sleep(1.0)
 
 

@@ -233,7 +233,7 @@ def remarks(faults: str, seconds: float = 20.0) -> tuple[dict[str, str], str]:
         plant.line.faults = parse_faults(faults)
         for _ in range(int(seconds)):
             await anyio.sleep(1.0)
-            plant.site.watch.look()
+            plant.site.supervision.watch.look()
         for name, _, _ in DRIVES:
             text = plant.site.store.drive(name).remarks.get("second-answers")
             if text:

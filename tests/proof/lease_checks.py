@@ -529,7 +529,7 @@ class LeaseChecks:
         """Judge no more."""
         self.look()
         self._over = True
-        figures = self._site.lease_watch.figures()
+        figures = self._site.supervision.leases.figures()
         lapses = {} if figures is None else figures.lapses
         for one in self._drives.values():
             counted = lapses.get(one.name, 0)

@@ -415,7 +415,7 @@ def test_no_watchdog_is_called_missed_of_a_drive_not_heard_since_the_port_was_op
     async def looked_at(plant: Plant, for_s: int) -> None:
         for _ in range(for_s):
             await anyio.sleep(1.0)
-            plant.site.watch.look()
+            plant.site.supervision.watch.look()
 
     async def test(plant: Plant) -> None:
         plant.line.faults.absent = {11}
@@ -442,7 +442,7 @@ def test_drives_that_are_all_silent_are_not_told_one_by_one(
         caplog.set_level("INFO")
         await anyio.sleep(20.0)
         assert plant.site.health.is_silent
-        assert plant.site.watch.wants_look_at_port()
+        assert plant.site.supervision.watch.wants_look_at_port()
         assert offline() == []
         assert not [one for one in caplog.messages if "audit-failed" in one]
         plant.line.faults.absent = {12}
@@ -461,7 +461,7 @@ def test_a_watchdog_that_ran_out_unfed_is_logged_once_per_lapse(
     async def looked_at(plant: Plant, for_s: int) -> None:
         for _ in range(for_s):
             await anyio.sleep(1.0)
-            plant.site.watch.look()
+            plant.site.supervision.watch.look()
 
     async def test(plant: Plant) -> None:
         await plant.online()
@@ -490,8 +490,8 @@ def test_one_cut_of_the_line_is_one_miss_of_each_watchdog_in_the_log_and_in_the_
     async def looked_at(plant: Plant, for_s: int) -> None:
         for _ in range(for_s):
             await anyio.sleep(1.0)
-            plant.site.watch.look()
-            plant.site.watch.wants_look_at_port()
+            plant.site.supervision.watch.look()
+            plant.site.supervision.watch.wants_look_at_port()
             assert plant.site.metrics.snapshot().watchdog_misses == missed()
 
     async def test(plant: Plant) -> None:

@@ -49,7 +49,7 @@ class Reading:
         end_s = self.plant.now_s + seconds
         while self.plant.now_s < end_s:
             await anyio.sleep(min(1.0, end_s - self.plant.now_s))
-            for _ in self.plant.site.event_sources.look():
+            for _ in self.plant.site.supervision.event_sources.look():
                 await anyio.lowlevel.checkpoint()
 
     def new(self, *kinds: str, drive: str = "") -> list[dict[str, Any]]:
@@ -260,7 +260,9 @@ def test_what_users_do_is_published_with_outcome_and_who_asked() -> None:
 
 def test_a_lease_is_published_to_those_who_follow_its_drives() -> None:
     async def test(plant: Plant, events: Reading) -> None:
-        plant.site.event_sources.lease_changed("ended", ("a",), {"lease": "ui", "end": "lapsed"})
+        plant.site.supervision.event_sources.lease_changed(
+            "ended", ("a",), {"lease": "ui", "end": "lapsed"}
+        )
         (ended,) = events.new("lease")
         assert (ended["what"], ended["drives"], ended["end"]) == ("ended", ["a"], "lapsed")
         assert ended["time"].endswith("Z")
@@ -321,7 +323,7 @@ def test_nothing_follows_the_store_while_no_event_is_read() -> None:
         count = sum(events.published.values())
         assert count > 0
         await anyio.sleep(60.0)
-        assert list(plant.site.event_sources.look()) == []
+        assert list(plant.site.supervision.event_sources.look()) == []
         assert sum(events.published.values()) == count
 
     with_plant(test, ROSTER)
@@ -330,6 +332,6 @@ def test_nothing_follows_the_store_while_no_event_is_read() -> None:
 def test_looking_is_done_in_small_pieces() -> None:
     async def test(plant: Plant, events: Reading) -> None:
         await events.passed(5.0)
-        assert len(list(plant.site.event_sources.look())) >= len(DRIVES) + 1
+        assert len(list(plant.site.supervision.event_sources.look())) >= len(DRIVES) + 1
 
     reading(test)

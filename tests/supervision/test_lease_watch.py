@@ -142,7 +142,7 @@ def test_the_policy_of_every_family_is_carried_out_when_a_client_falls_silent(
         assert latch(plant) is None
         await anyio.sleep(0.002)
         assert latch(plant) is Latch.LAPSED
-        assert plant.site.lease_watch.figures().lapses == {"a": 1}  # type: ignore[union-attr]
+        assert plant.site.supervision.leases.figures().lapses == {"a": 1}  # type: ignore[union-attr]
         if policy == "silence":
             last_s = max(one.at_s for one in plant.sent_to(11))
             assert last_s <= died_s + 2.0
@@ -617,7 +617,7 @@ def test_without_leases_nothing_is_remarked_counted_or_kept() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()
         await anyio.sleep(90.0)
-        assert plant.site.lease_watch.figures() is None
+        assert plant.site.supervision.leases.figures() is None
         assert "lease" not in plant.site.store.drive("a").remarks
 
     with_plant(test, roster_text([("a", 11, "8200vector")]), state=state)

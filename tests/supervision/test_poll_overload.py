@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from lecombus.drive_state.store import Store
 from lecombus.schedule.polling import STRETCH_WINDOW_S
-from lecombus.supervision.line_watch import PollOverload
+from lecombus.supervision.line_remarks import PollOverload
 
 LONG = round(STRETCH_WINDOW_S) + 5
 

@@ -263,7 +263,7 @@ def app_of(plant: Plant) -> Starlette:
     site = plant.site
     return create_app(
         site.operations, site.store, site.metrics,
-        plan_facts=lambda: site.watch.plan_facts(site.roster), line_name="t",
+        plan_facts=lambda: site.supervision.watch.plan_facts(site.roster), line_name="t",
         ready=lambda: (True, ""), healthy=lambda: (True, ""), reload=no_reload,
         readers=EventReaders(site.events, tuple, anyio.current_time), clock=anyio.current_time,
     )  # fmt: skip

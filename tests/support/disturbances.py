@@ -80,7 +80,7 @@ class Pattern:
                 with anyio.move_on_after(self.lasts_s):
                     await self.during(plant)
             while plant.now_s < began_s + self.lasts_s:
-                plant.site.watch.look()
+                plant.site.supervision.watch.look()
                 await anyio.sleep(1.0)
         finally:
             plant.line.faults = faults
@@ -156,7 +156,7 @@ async def look(plant: Plant, setpoint: int) -> Picture:
             picture.failed.append(f"{entry.name}: {exc}")
         await anyio.sleep(0.3)
     await anyio.sleep(max(began_s + WATCH_S - plant.now_s, 0.0))
-    site.watch.look()
+    site.supervision.watch.look()
     for one in plant.reports[began:]:
         if one.result.kind is ResultKind.ANSWERED:
             picture.gaps[one.drive, one.step.code] += 1

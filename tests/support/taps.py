@@ -87,8 +87,8 @@ class ReceiverTap:
 async def running(site: LineRuntime) -> AsyncIterator[None]:
     """Work a site's line as long as the block lasts."""
     async with anyio.create_task_group() as tasks:
-        tasks.start_soon(site.supervisor.run)
-        tasks.start_soon(site.lease_watch.run)
+        tasks.start_soon(site.supervision.drives.run)
+        tasks.start_soon(site.supervision.leases.run)
         tasks.start_soon(site.worker.run)
         yield
         tasks.cancel_scope.cancel()

@@ -1,9 +1,8 @@
-"""What is looked at once a second: the schedule's figures, and the remarks that follow from them.
+"""What is looked at once a second: the schedule's figures, and what follows from them.
 
 `LineWatch` takes a snapshot of the schedule into the figures of the last minutes, for the metrics
-and for `lecombus plan`. From it and from what the line counted come remarks: cyclic reads that the
-line cannot hold, answers that were not asked for (the exchange loop counts them), and in the log
-watchdogs whose time ran out. `port_watch` says who else has the port open.
+and for `lecombus plan`. From it and from what the line counted come remarks (`line_remarks`), and
+in the log watchdogs whose time ran out. `port_watch` says who else has the port open.
 """
 
 from __future__ import annotations
@@ -11,15 +10,12 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Mapping
-from typing import Final
 
 from lecombus.capacity.facts import answers_of, facts_of
 from lecombus.config import LineEntry, Roster
-from lecombus.drive_state.drive_runtime import LineDrives
 from lecombus.drive_state.readings import DriveState
 from lecombus.drive_state.store import Store
 from lecombus.event_stream import EventStream
-from lecombus.fieldbus.loop_interface import SecondAnswerCount
 from lecombus.journal.journal import JournalFigures
 from lecombus.metrics import LineSnapshot, Metrics
 from lecombus.metrics.rolling_window import LATELY_S
@@ -27,34 +23,16 @@ from lecombus.operations.awaited_requests import Requests
 from lecombus.operations.facade import Operations
 from lecombus.parameters import Json
 from lecombus.schedule import WatchdogStats
-from lecombus.schedule.polling import STRETCH_WINDOW_S
 from lecombus.schedule.stats import ScheduleStats
 from lecombus.supervision.exchange_recorder import ExchangeRecorder
 from lecombus.supervision.lease_watch import LeaseWatch
+from lecombus.supervision.line_remarks import PollOverload, remark_second_answers
 from lecombus.supervision.line_requests import RequestsToLine
 from lecombus.supervision.port_watch import PortWatch
 
-__all__ = ["LineWatch", "PollOverload"]
+__all__ = ["LineWatch"]
 
 logger = logging.getLogger(__name__)
-
-OVERLOAD_REMARK: Final = "cadence"
-SAID_FROM: Final = 1.05
-"""A cadence stretched by less than this is not worth a remark."""
-
-STARTING_MOST_S: Final = 600.0
-"""A full line's first start takes minutes; a drive that is starting for longer than this, seconds,
-has another trouble and hides nothing."""
-
-PAUSED_FROM_S: Final = 1.5
-"""The figure comes once a second; where it comes so much later, seconds, the daemon did not run."""
-
-SECOND_ANSWERS_REMARK: Final = "second-answers"
-LEAST: Final = 3
-"""Fewer second answers than this within a minute are not worth a remark."""
-
-PART: Final = 2 / 3
-"""Of those whose drive is known, so many came behind the same drive's own answer."""
 
 
 class LineWatch:
@@ -205,89 +183,3 @@ class LineWatch:
             if feed.lapses > drive.feed.lapses:
                 logger.warning("drive=%s event=watchdog-missed time_s=%g", name, feed.time_s)
             drive.feed.lapses = feed.lapses
-
-
-class PollOverload:
-    """The remark on a line that cannot hold the cyclic reads it was asked for.
-
-    What a line could not do while it was closed, while its drives were being started or stopped, or
-    while the daemon did not run, is not what it cannot hold: the periods of that time are given as
-    they were (`cyclic_stretch_ratio`), and no remark is made of them.
-
-    Args:
-        store: Gets the factor, and the remark.
-    """
-
-    def __init__(self, store: Store) -> None:
-        self._store = store
-        self._closed_at_s = -math.inf  # when it was last closed, starting, stopping or paused
-        self._starting_from_s: float | None = None
-        self._noted_s = math.inf
-
-    def note(
-        self,
-        stretch: float,
-        now_s: float,
-        *,
-        is_open: bool,
-        starting: bool = False,
-        stopping: bool = False,
-    ) -> None:
-        """Take the figure of the moment; about once a second.
-
-        Args:
-            stretch: The factor by which cyclic periods grew in the last seconds, 1 or more.
-            now_s: Monotonic seconds.
-            is_open: Whether the line is open.
-            starting: Whether drives are being started.
-            stopping: Whether stops wait, such as that of a drive that does not answer.
-        """
-        if not starting:
-            self._starting_from_s = None
-        elif self._starting_from_s is None:
-            self._starting_from_s = now_s
-        begun_s = self._starting_from_s
-        paused = now_s - self._noted_s >= PAUSED_FROM_S
-        self._noted_s = now_s
-        begins = begun_s is not None and now_s - begun_s < STARTING_MOST_S
-        if paused or stopping or begins or not is_open:
-            self._closed_at_s = now_s
-        self._store.set_stretch(stretch)
-        text = None
-        if stretch > SAID_FROM and now_s - self._closed_at_s > STRETCH_WINDOW_S:
-            text = (
-                f"the line cannot hold the cyclic reads asked for: every period is {stretch:.2f} "
-                "times as long; ask for fewer, more seldom, or at a higher baud rate"
-            )
-        self._store.note_line(OVERLOAD_REMARK, text)
-
-
-def remark_second_answers(found: SecondAnswerCount, drives: LineDrives, store: Store) -> None:
-    """Remark answers that were not asked for: two drives at one address, or every answer twice.
-
-    Args:
-        found: How many came within the last minute, and behind whose answers.
-        drives: The drives.
-        store: Gets the remarks.
-    """
-    count, alone = found
-    known = sum(alone.values())
-    suspects = [drive.name for drive in drives
-                if alone.get(drive.name, 0) >= LEAST
-                and alone[drive.name] >= PART * known]  # fmt: skip
-    for drive in drives:
-        text, name, address = None, drive.name, drive.entry.address
-        if name in suspects:
-            text = (
-                f"two drives at address {address}? second answers came after its own, "
-                f"{alone[name]} in the last minute: give one of the two another address"
-            )
-        store.note(name, SECOND_ANSWERS_REMARK, text)
-    text = None
-    if count >= LEAST and not suspects:
-        text = (
-            f"{count} answers came in the last minute that nobody asked for: two drives at one "
-            "address, an adapter or device server that delivers twice, or another master; "
-            "until they end a stop takes more readings to be shown"
-        )
-    store.note_line(SECOND_ANSWERS_REMARK, text)
