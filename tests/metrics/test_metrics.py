@@ -186,12 +186,16 @@ def test_schedule_and_watchdogs_are_read_off_when_the_page_is_rendered() -> None
         {"feeder": 3},
         {Priority.BACKGROUND: 7},
         4,
+        watchdog_lowest_s={"feeder": 0.6},
+        watchdog_time_s={"feeder": 2.0},
     )
     assert hall.samples("queue_depth")["background",] == 1000
     assert hall.samples("queue_depth")["stop",] == 0
     assert hall.samples("cyclic_stretch_ratio") == {(): 1.5}
     assert hall.samples("cyclic_lateness_seconds") == {(): 0.25}
     assert hall.samples("watchdog_margin_seconds") == {("feeder",): 0.7}
+    assert hall.samples("watchdog_margin_lowest_seconds") == {("feeder",): 0.6}
+    assert hall.samples("watchdog_time_seconds") == {("feeder",): 2.0}
     assert hall.samples("watchdog_misses_total") == {("feeder",): 3}
     assert hall.samples("schedule_refusals_total")["background",] == 7
     assert hall.samples("cyclic_skipped_total") == {(): 4}

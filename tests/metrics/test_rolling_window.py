@@ -97,6 +97,17 @@ def test_least_margins_and_slack_are_kept_not_highest() -> None:
     assert (found["margins_s"], found["slack_s"]) == ({"a": 0.2}, -0.3)
 
 
+def test_the_least_margin_of_the_last_half_minute_forgets_what_was_before() -> None:
+    minutes = RollingWindow()
+    for margin_s, at_s in ((0.1, 10.0), (0.4, 200.0), (0.3, 201.0), (0.7, 210.0)):
+        minutes.margin("a", margin_s, at_s)
+    minutes.margin("b", -0.5, 100.0)
+    assert minutes.lowest_margins_s(211.0, 30.0) == {"a": 0.3}
+    assert minutes.lowest_margins_s(102.0, 30.0)["b"] == -0.5
+    minutes.forget("a")
+    assert minutes.lowest_margins_s(211.0, 30.0) == {}
+
+
 def test_what_is_kept_does_not_grow_with_the_exchanges() -> None:
     def size(minutes: RollingWindow) -> int:
         slots = [slot for of_class in minutes._classes.values() for slot in of_class]

@@ -50,6 +50,8 @@ class LineSnapshot:
         queue_depth: Requests waiting, by class. stretch: How far the cyclic cadence is stretched, 1
         or more. lateness_s: How late the latest cyclic read of late was, seconds.
         watchdog_margin_s: By drive, time left until its watchdog would fire, seconds.
+        watchdog_lowest_s: By drive, the least that was left in the last 30 seconds, seconds.
+        watchdog_time_s: By drive, the time set in its watchdog, seconds.
         watchdog_misses: By drive, how often a feed came too late. refused: By class, requests the
         schedule refused so far. cyclic_skipped: Cyclic reads passed over so far. writes: By drive
         and code, writes that may have reached the drive's memory, over its whole life.
@@ -78,6 +80,8 @@ class LineSnapshot:
     events: Mapping[str, int] = field(default_factory=dict)
     event_readers: int = 0
     event_readers_dropped: int = 0
+    watchdog_lowest_s: Mapping[str, float] = field(default_factory=dict)
+    watchdog_time_s: Mapping[str, float] = field(default_factory=dict)
 
 
 class LineGauges:
@@ -110,6 +114,13 @@ class LineGauges:
         self._margin = gauge(
             "watchdog_margin_seconds", "Time left until the drive's watchdog would fire."
         )
+        self._lowest = gauge(
+            "watchdog_margin_lowest_seconds",
+            "Least time that was left to the drive's watchdog in the last 30 seconds.",
+        )
+        self._time = gauge(
+            "watchdog_time_seconds", "Time after which the drive's watchdog acts, as it is set."
+        )
         self._answers = gauge(
             "drive_answer_ratio",
             "Slowest answer time measured / longest in the manual, without the adapter's delay.",
@@ -138,7 +149,8 @@ class LineGauges:
         """The families, in the order of the page."""
         return (
             *(self._up, self._depth, self._refused, self._stretch, self._late, self._skipped),
-            *(self._woken, self._slack, self._margin, self._misses, self._writes, self._answers),
+            *(self._woken, self._slack, self._margin, self._lowest, self._time, self._misses),
+            *(self._writes, self._answers),
             *self._leases.blocks,
             *(self._events, self._readers, self._dropped),
         )
@@ -164,6 +176,10 @@ class LineGauges:
             self._refused.add(label, snapshot.refused.get(priority, 0))
         for drive, margin_s in snapshot.watchdog_margin_s.items():
             self._margin.add(f'{line},drive="{escape(drive)}"', margin_s)
+        for drive, lowest_s in snapshot.watchdog_lowest_s.items():
+            self._lowest.add(f'{line},drive="{escape(drive)}"', lowest_s)
+        for drive, time_s in snapshot.watchdog_time_s.items():
+            self._time.add(f'{line},drive="{escape(drive)}"', time_s)
         for drive, ratio in snapshot.answer_ratio.items():
             self._answers.add(f'{line},drive="{escape(drive)}"', ratio)
         for drive, misses in snapshot.watchdog_misses.items():

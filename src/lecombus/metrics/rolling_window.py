@@ -144,6 +144,11 @@ class RollingWindow:
             self._used[drive] = Highest()
         self._used[drive].note(-margin_s, now_s)
 
+    def lowest_margins_s(self, now_s: float, within_s: float) -> dict[str, float]:
+        """Give by drive the least time that was left to its watchdog within so many seconds."""
+        most = {drive: used.most(now_s, within_s) for drive, used in self._used.items()}
+        return {drive: -used_s for drive, used_s in most.items() if used_s is not None}
+
     def slack(self, slack_s: float, now_s: float) -> None:
         """Take the time that is left until the line must be free for feeding."""
         self._slack.note(-slack_s, now_s)

@@ -134,6 +134,8 @@ class LineWatch:
             self._events.published,
             self._events.readers,
             self._events.dropped,
+            self._window.lowest_margins_s(now, LATELY_S),
+            {name: feed.time_s for name, feed in stats.feeds.items()},
         )
 
     def plan_facts(self, roster: Roster) -> dict[str, Json]:
