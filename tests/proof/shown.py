@@ -71,7 +71,9 @@ class Shown:
         self._clock = clock
         self._say = say
         self._clean = line.kind != "faulty"
-        self._loses_many = isinstance(line, TolerantLine) and (line.losses > 1 or line.is_idle)
+        self._loses_many = isinstance(line, TolerantLine) and (
+            line.losses > min(1, line.roster.line.tolerate) or line.is_idle
+        )
         self._names = {drive.address: drive.name for drive in line.roster.drives}
         self._silent = dict.fromkeys(self._names.values(), 0)
         self._line_since_s = site.store.line().since_s
