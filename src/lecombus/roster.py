@@ -30,6 +30,7 @@ __all__ = [
     "LeaseEntry",
     "LineEntry",
     "Medium",
+    "ModbusEntry",
     "MqttEntry",
     "OnJournalFailure",
     "OnShutdown",
@@ -279,6 +280,24 @@ class MqttEntry(_Model):
     tls: bool = True
 
 
+class ModbusEntry(_Model):
+    """The Modbus TCP bridge.
+
+    Args:
+        host: The address that it listens on.
+        port: Its TCP port.
+        units: The unit identifiers that it answers, 0..255.
+        allow: Addresses and networks whose connections are taken; empty: those of this machine.
+        control: Whether it writes; stops included.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 502
+    units: tuple[int, ...] = (1, 255)
+    allow: tuple[str, ...] = ()
+    control: bool = False
+
+
 class JournalEntry(_Model):
     """The journal.
 
@@ -298,6 +317,7 @@ class Roster(_Model):
 
     Args:
         file: Where it was read from, as named by the user.
+        version: Of the form of the file.
         line: The line.
         drives: The drives, in the order of the file.
         groups: The groups by name; `all` is always one of them.
@@ -305,12 +325,14 @@ class Roster(_Model):
         on_shutdown: What is done to the drives at the end.
         api: Where the API listens.
         mqtt: The message broker; None: none.
+        modbus: The Modbus TCP bridge; None: none.
         journal: The journal; None: none.
         state: The state file; None: nothing is kept.
         not_yet_used: Keys that were given and checked but do nothing in this version.
     """
 
     file: str
+    version: int = 1
     line: LineEntry
     drives: tuple[DriveEntry, ...]
     groups: Mapping[str, GroupEntry]
@@ -318,6 +340,7 @@ class Roster(_Model):
     on_shutdown: OnShutdown = "nothing"
     api: ApiEntry
     mqtt: MqttEntry | None = None
+    modbus: ModbusEntry | None = None
     journal: JournalEntry | None = None
     state: str | None = None
     not_yet_used: tuple[str, ...] = ()

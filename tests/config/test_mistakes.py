@@ -249,6 +249,21 @@ def test_codes_that_move_a_drive_away_are_writable_when_asked_for_in_words() -> 
         ("api: {tokens: /etc/}", "11:15"),
         ("mqtt: {port: 1}", "11:7"),
         ("mqtt: {host: 'a:1'}", "11:14"),
+        ("modbus: {host: 0.0.0.0}", "11:16"),
+        ("modbus: {host: '::', allow: []}", "11:16"),
+        ("modbus: {host: plc.example}", "11:16"),
+        ("modbus: {allow: 192.0.2.7}", "11:17"),
+        ("modbus: {allow: [plc]}", "11:18"),
+        ("modbus: {allow: [192.0.2.7/24]}", "11:18"),
+        ("modbus: {units: []}", "11:17"),
+        ("modbus: {units: [256]}", "11:18"),
+        ("modbus: {port: 0}", "11:16"),
+        ("modbus: {control: maybe}", "11:19"),
+        ("modbus: yes", "11:9"),
+        ("version: 0", "11:10"),
+        ("version: one", "11:10"),
+        ("version: 2", "11:10"),
+        ("version: [2]", "11:10"),
         ("journal: x.sqlite", "11:10"),
         ("journal: [x]", "11:10"),
         ("journal: {max_size: 32MB}", "11:10"),
@@ -265,6 +280,10 @@ def test_a_wrong_key_of_the_roster(written: str, place: str, golden: Golden) -> 
     words = only(roster_with(written))
     assert words.startswith(f"{place}: ")
     golden(words)
+
+
+def test_a_roster_of_a_newer_form_is_refused_before_its_keys_are_read(golden: Golden) -> None:
+    golden(only("version: 3\nmeters: [a]\nline: 5\n" + GOOD))
 
 
 def test_a_socket_path_longer_than_the_system_takes() -> None:

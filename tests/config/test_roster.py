@@ -14,7 +14,7 @@ from lecombus.config import LeaseEntry, load_roster
 from lecombus.drives import FAMILY_NAMES, family
 from lecombus.fieldbus.lecom.protocol.addressing import Form, group_reach, multicast_address
 from lecombus.parameters import Code
-from lecombus.roster import JournalEntry, TlsEntry
+from lecombus.roster import JournalEntry, ModbusEntry, TlsEntry
 
 ADDRESSES = [number for number in range(1, 100) if number % 10]
 
@@ -127,6 +127,19 @@ def test_the_tls_of_the_broker_is_yes_or_no() -> None:
     mqtt = parsed(roster_with("mqtt: {host: b, tls: no}")).mqtt
     assert mqtt is not None
     assert not mqtt.tls
+
+
+def test_modbus_is_local_and_read_only_unless_the_roster_says_more() -> None:
+    assert parsed(GOOD).modbus is None
+    assert parsed(roster_with("modbus: {}")).modbus == ModbusEntry()
+    most = "modbus: {host: '::', port: 1502, units: [7], allow: [192.0.2.7, 2001:db8::/64], "
+    assert parsed(roster_with(most + "control: yes}")).modbus == ModbusEntry(
+        host="::", port=1502, units=(7,), allow=("192.0.2.7/32", "2001:db8::/64"), control=True
+    )
+
+
+def test_a_roster_may_say_of_which_form_it_is() -> None:
+    assert parsed(GOOD).version == parsed(roster_with("version: 1")).version == 1
 
 
 def test_stall_may_be_never() -> None:

@@ -25,6 +25,7 @@ from lecombus.roster import (
     JournalEntry,
     LeaseEntry,
     LineEntry,
+    ModbusEntry,
     MqttEntry,
     Roster,
     StoredWrites,
@@ -43,7 +44,9 @@ _RENAMED = {
     "late_answer": "late_answer_s", "stall": "stall_s", "time": "time_s", "every": "every_s",
     "answer_time": "answer_time_s",
 }  # fmt: skip
-_BUILT = frozenset({"line", "drives", "lease", "groups", "api", "mqtt", "journal", "state"})
+_BUILT = frozenset(
+    {"line", "drives", "lease", "groups", "api", "mqtt", "modbus", "journal", "state"}
+)
 """The keys of a roster that `build_roster` makes more of than their value."""
 _COMPLETED = frozenset({"addressing", "cyclic", "writable", "also_writable", "lease"})
 """The keys of a drive whose fields take more than the key itself; `_drive` makes these."""
@@ -60,6 +63,7 @@ def build_roster(roster: Fields, file: str) -> Roster:
         file=file, line=line, drives=drives, lease=lease,
         groups=_groups(roster, drives, line.protocol),
         api=_api(roster.get("api"), line.name), mqtt=_mqtt(roster.get("mqtt")),
+        modbus=_modbus(roster.get("modbus")),
         journal=_journal(roster.get("journal")), state=_state(roster.get("state"), line),
         not_yet_used=_not_yet_used(roster),
     )  # fmt: skip
@@ -100,6 +104,8 @@ _CONVERTED: Final[Mapping[str, Callable[[Any], Any]]] = {
     "stored_writes": lambda given: StoredWrites(**_fields(given)),
     "http": lambda given: HttpAddress(host=given[0], port=given[1]),
     "hosts": lambda given: tuple(item.value.lower() for item in given),
+    "units": lambda given: tuple(item.value for item in given),
+    "allow": lambda given: tuple(item.value for item in given),
     "tls": lambda given: TlsEntry(**_fields(given)) if isinstance(given, Fields) else given,
 }
 """How the values of keys become those of fields, where they are not the same."""
@@ -162,6 +168,10 @@ def _mqtt(entry: Fields | None) -> MqttEntry | None:
         return None
     usual_port = 8883 if entry.get("tls", True) else 1883
     return MqttEntry(**{"port": usual_port} | _fields(entry))
+
+
+def _modbus(entry: Fields | None) -> ModbusEntry | None:
+    return None if entry is None else ModbusEntry(**_fields(entry))
 
 
 def _journal(entry: Fields | None) -> JournalEntry | None:

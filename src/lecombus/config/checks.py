@@ -69,6 +69,7 @@ def check_roster(roster: Fields, protocol: str, mistakes: Mistakes) -> None:
     _check_shutdown(roster, drives, mistakes)
     _check_default_lapse(roster, drives, mistakes)
     _check_access(roster, mistakes)
+    _check_modbus(roster, mistakes)
 
 
 def check_feasibility(entries: Fields, roster: Roster, mistakes: Mistakes) -> None:
@@ -244,6 +245,18 @@ def _check_access(roster: Fields, mistakes: Mistakes) -> None:
         what = f"`http` is not local: that needs {' and '.join(missing)} too"
         right = f"give them, or write 127.0.0.1:{http[1]} and use a tunnel, such as ssh -L"
         mistakes.note(api.place("http"), what, right)
+
+
+def _check_modbus(roster: Fields, mistakes: Mistakes) -> None:
+    """Note a Modbus address that other machines reach, without a list of those that may."""
+    modbus = roster.get("modbus")
+    if not isinstance(modbus, Fields) or is_loopback(modbus.get("host", "127.0.0.1")):
+        return
+    allow = modbus.get("allow")
+    if "allow" not in modbus.nodes or (isinstance(allow, Items) and not allow.items):
+        what = "`host` is not local: that needs `allow` too, because Modbus has no passwords"
+        right = "list the addresses of the controllers, such as `allow: [192.0.2.7]`"
+        mistakes.note(modbus.place("host"), what, right)
 
 
 WRITABLE = ("writable", "also_writable")

@@ -15,7 +15,15 @@ from lecombus.config.mistakes import did_you_mean, nearest, one_of, shown
 from lecombus.config.scalar_types import ScalarType, WrongText
 from lecombus.roster import is_loopback
 
-__all__ = ["AbsolutePath", "GroupName", "Host", "HttpType", "PortType"]
+__all__ = [
+    "AbsolutePath",
+    "GroupName",
+    "Host",
+    "HttpType",
+    "IpAddress",
+    "Network",
+    "PortType",
+]
 
 _SCHEMES: Final = ("socket", "sim")
 _HOST_PORT: Final = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+):([0-9]{1,5})", re.ASCII)
@@ -170,3 +178,36 @@ class Host(ScalarType):
         if re.fullmatch(r"[A-Za-z0-9._-]+:[0-9]+", text):
             raise WrongText("has a port in it", "give the port by the key `port`")
         return text
+
+
+class IpAddress(ScalarType):
+    """An IP address of this machine, without a port."""
+
+    def __init__(self) -> None:
+        schema = {"type": "string", "pattern": "^([0-9.]+|[0-9A-Fa-f:.]+)$"}
+        super().__init__("an IP address such as 127.0.0.1", schema)
+
+    def _convert(self, text: str) -> str:
+        try:
+            return str(ipaddress.ip_address(text))
+        except ValueError:
+            raise WrongText("is no IP address", f"give {self.expects}") from None
+
+
+class Network(ScalarType):
+    """An IP address or a network of them."""
+
+    def __init__(self) -> None:
+        schema = {"type": "string", "pattern": "^[0-9A-Fa-f:.]+(/[0-9]{1,3})?$"}
+        super().__init__("an address such as 192.0.2.7, or 192.0.2.0/24", schema)
+
+    def _convert(self, text: str) -> str:
+        try:
+            return str(ipaddress.ip_network(text))
+        except ValueError:
+            pass
+        try:
+            meant = ipaddress.ip_network(text, strict=False)
+        except ValueError:
+            raise WrongText("is no address", f"give {self.expects}") from None
+        raise WrongText("has bits behind its network part", f"write {meant}")

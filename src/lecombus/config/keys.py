@@ -20,6 +20,8 @@ from lecombus.config.endpoint_types import (
     GroupName,
     Host,
     HttpType,
+    IpAddress,
+    Network,
     PortType,
 )
 from lecombus.config.mistakes import one_of
@@ -35,12 +37,14 @@ from lecombus.config.number_types import (
 from lecombus.config.scalar_types import Keyword, Name, TextLine, WrongText, YesNo
 from lecombus.fieldbus.protocols import Fieldbus, find, names, protocol_of
 
-__all__ = ["ALL", "CYCLIC_SHORTEST_S", "roster_json_schema", "roster_table"]
+__all__ = ["ALL", "CYCLIC_SHORTEST_S", "ROSTER_VERSION", "roster_json_schema", "roster_table"]
 
 ALL: Final = "all"
 """The group that always exists."""
 CYCLIC_SHORTEST_S: Final = 0.01
 """No exchange is shorter at 19200 baud: a status read alone takes 13 ms on the wire."""
+ROSTER_VERSION: Final = 1
+"""The newest form of a roster; a change that an older lecombus would misunderstand raises it."""
 _DAY_S: Final = 86400.0
 _HOUR_S: Final = 3600.0
 
@@ -210,6 +214,21 @@ _MQTT: Final = Table("mqtt", (
     Key("tls", YesNo(), "Whether the broker is spoken to by TLS.", default=True),
 ), "The message broker (not used by this version).")  # fmt: skip
 
+_MODBUS: Final = Table("modbus", (
+    Key("host", IpAddress(),
+        "The address that the bridge listens on; beyond loopback only with allow.",
+        default="127.0.0.1"),
+    Key("port", Whole(1, 65535), "Its TCP port.", default=502),
+    Key("units", ListOf(Whole(0, 255), "the unit identifier", least=1),
+        "The unit identifiers that it answers.", default=[1, 255]),
+    Key("allow", ListOf(Network(), "the address"),
+        "Addresses and networks that may connect, such as 192.0.2.7 or 192.0.2.0/24. Modbus has no "
+        "passwords. Absent: this machine only."),
+    Key("control", YesNo(),
+        "Whether the bridge writes: setpoints and commands under a lease, and stops.",
+        default=False),
+), "The Modbus TCP bridge (`lecombus bridge modbus`).")  # fmt: skip
+
 _JOURNAL: Final = ShortTable("journal", (
     Key("file", AbsolutePath("/var/lib/lecombus/hall-3.sqlite"),
         "Its file, made where there is none.", required=True),
@@ -222,6 +241,9 @@ _JOURNAL: Final = ShortTable("journal", (
    "more keys. Absent: none is kept.")  # fmt: skip
 
 _ROSTER: Final = Table("roster", (
+    Key("version", WholeChoice((ROSTER_VERSION,)),
+        "Of the form of this file. A lecombus that knows only older ones refuses it.",
+        default=ROSTER_VERSION),
     Key("line", _BY_PROTOCOL, _LINE.doc, required=True),
     Key("drives", _BY_PROTOCOL, "The drives on the line.", required=True),
     Key("groups", NamedEntries(_GROUP_NAME, _GROUP, special={ALL: _ALL_DRIVES}),
@@ -231,6 +253,7 @@ _ROSTER: Final = Table("roster", (
         "What is sent to all drives when the daemon ends.", default="nothing"),
     Key("api", _API, _API.doc),
     Key("mqtt", _MQTT, _MQTT.doc),
+    Key("modbus", _MODBUS, _MODBUS.doc),
     Key("journal", _JOURNAL, _JOURNAL.doc),
     Key("state", AbsolutePath("/var/lib/lecombus/hall-3.json"),
         "What must outlive the daemon: identities and write counts. Absent: "

@@ -15,11 +15,12 @@ import stat
 from pathlib import Path
 from typing import Final
 
+from lecombus import __version__
 from lecombus.config.building import build_roster
 from lecombus.config.changes import check_restart
 from lecombus.config.checks import check_feasibility, check_roster
 from lecombus.config.container_types import Fields
-from lecombus.config.keys import roster_table
+from lecombus.config.keys import ROSTER_VERSION, roster_table
 from lecombus.config.mistakes import Mistakes, RosterError, Spot
 from lecombus.config.yaml_nodes import MappingNode, Scalar, compose
 from lecombus.fieldbus.protocols import names
@@ -76,6 +77,7 @@ def parse_roster(text: str, file: str, running: Roster | None = None) -> Roster:
     if not isinstance(node, MappingNode):
         right = "a roster is a mapping with at least `line:` and `drives:`"
         raise mistakes.fatal(node, "this is no roster", right)
+    _check_version(node, mistakes)
     protocol = _protocol(node)
     roster = roster_table(protocol).read(node, "the roster", mistakes)
     assert isinstance(roster, Fields)
@@ -89,6 +91,23 @@ def parse_roster(text: str, file: str, running: Roster | None = None) -> Roster:
     if mistakes:
         raise mistakes.error()
     return built
+
+
+def _check_version(roster: MappingNode, mistakes: Mistakes) -> None:
+    """Refuse a roster of a newer form; its mistakes would be those of this program.
+
+    Raises:
+        RosterError: It is one.
+    """
+    given = roster.items.get("version")
+    text = given[1].text if given is not None and isinstance(given[1], Scalar) else ""
+    if text.isascii() and text.isdecimal() and int(text[:9]) > ROSTER_VERSION:
+        assert given is not None
+        what = f"this roster has version {text[:9]}, and lecombus {__version__} knows no newer "
+        what += f"version than {ROSTER_VERSION}"
+        raise mistakes.fatal(
+            given[1], what, "install the lecombus that it was written for, or a newer one"
+        )
 
 
 def _protocol(roster: MappingNode) -> str:
