@@ -108,6 +108,7 @@ def test_metrics_are_those_that_are_served() -> None:
         if name.startswith("lecombus_")
     }  # fmt: skip
     alerts = (ROOT / "deploy" / "prometheus" / "lecombus.rules.yml").read_text()
+    alerts = re.sub(r"\w+:lecombus_\w+:\w+", "", alerts)  # what the rules record themselves
 
     async def test(plant: Plant) -> None:
         await plant.online()

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import subprocess
 import sys
-from collections.abc import Mapping
 from ipaddress import ip_network
 from pathlib import Path
 
@@ -225,116 +223,3 @@ def test_prometheus_takes_the_scrape_configuration_and_the_alerts() -> None:
     done = run(require("promtool"), "check", "config", DEPLOY / "prometheus" / "prometheus.yml")
     assert done.returncode == 0, done.stderr
     assert re.search(r"SUCCESS: [1-9]\d* rules found", done.stdout)
-
-
-def test_a_silent_drive_and_a_missed_watchdog_raise_alerts(tmp_path: Path) -> None:
-    """Runs the alerts on made-up series, as promtool's own rule tests."""
-    labels = 'line="hall-3",drive="feeder"'
-    cases = {
-        "rule_files": [str(DEPLOY / "prometheus" / "lecombus.rules.yml")],
-        "evaluation_interval": "5s",
-        "tests": [
-            {
-                "interval": "5s",
-                "input_series": [
-                    {"series": f"lecombus_drive_up{{{labels}}}", "values": "0x60"},
-                    {"series": 'lecombus_drive_up{line="hall-3",drive="belt"}', "values": "1x60"},
-                    {
-                        "series": f"lecombus_watchdog_misses_total{{{labels}}}",
-                        "values": "0x30 1x30",
-                    },
-                ],
-                "promql_expr_test": [
-                    {
-                        "expr": "count by (alertname, drive) (ALERTS{alertstate='firing'})",
-                        "eval_time": "200s",
-                        "exp_samples": [
-                            {"labels": f'{{alertname="{name}", drive="feeder"}}', "value": 1}
-                            for name in ("LecombusDriveSilent", "LecombusWatchdogMissed")
-                        ],
-                    }
-                ],
-            }
-        ],
-    }
-    assert_alerts(tmp_path, cases)
-
-
-def test_a_failing_journal_raises_an_alert(tmp_path: Path) -> None:
-    series = [{"series": 'lecombus_journal_up{line="hall-3"}', "values": "1x11 0x48"}]
-    alert = {
-        "exp_labels": {"severity": "critical", "line": "hall-3"},
-        "exp_annotations": {
-            "summary": "the journal of line hall-3 cannot be written",
-            "description": (
-                "Writes to its drives are refused unless the roster says on_failure go-on; stops "
-                "are sent. Look at its disk; the remark in lecombus status says what is wrong."
-            ),
-        },
-    }
-    cases = {
-        "rule_files": [str(DEPLOY / "prometheus" / "lecombus.rules.yml")],
-        "evaluation_interval": "5s",
-        "tests": [
-            {
-                "interval": "5s",
-                "input_series": series,
-                "alert_rule_test": [
-                    {"eval_time": at, "alertname": "LecombusJournalFails", "exp_alerts": alerts}
-                    for at, alerts in {"55s": [], "95s": [alert]}.items()
-                ],
-            }
-        ],
-    }
-    assert_alerts(tmp_path, cases)
-
-
-def assert_alerts(tmp_path: Path, cases: Mapping[str, object]) -> None:
-    path = tmp_path / "alerts.yml"
-    path.write_text(json.dumps(cases))
-    done = run(require("promtool"), "test", "rules", path)
-    assert done.returncode == 0, done.stdout + done.stderr
-
-
-@pytest.mark.parametrize("number", ["50", None])
-def test_a_trip_raises_an_alert_at_once_with_its_number_and_no_other_drive_does(
-    tmp_path: Path, number: str | None
-) -> None:
-    """From the page of a drive that trips after a minute, for a minute."""
-    feeder, belt = ('line="hall-3",drive="feeder"', 'line="hall-3",drive="belt"')
-    series = [
-        {"series": f"lecombus_drive_fault{{{feeder}}}", "values": "0x11 1x11 0x20"},
-        {"series": f"lecombus_drive_fault{{{belt}}}", "values": "0x60"},
-    ]
-    if number is not None:
-        name = f'lecombus_drive_fault_number{{{feeder},kind="trip"}}'
-        series.append({"series": name, "values": f"_x11 {number}x11 _x20"})
-    told = number or "not known yet"
-    alert = {
-        "exp_labels": {"severity": "critical", "line": "hall-3", "drive": "feeder"},
-        "exp_annotations": {
-            "summary": "drive feeder on line hall-3 has tripped",
-            "description": (
-                f"LECOM fault number: {told}. lecombus why names the fault, its usual cause and "
-                "what to do; lecombus reset-fault resets it."
-            ),
-        },
-    }
-    expected = {"50s": [], "65s": [alert], "110s": [alert], "200s": []}
-    assert_alerts(
-        tmp_path,
-        {
-            "rule_files": [str(DEPLOY / "prometheus" / "lecombus.rules.yml")],
-            "evaluation_interval": "5s",
-            "tests": [
-                {
-                    "interval": "5s",
-                    "input_series": series,
-                    "alert_rule_test": [
-                        {"eval_time": at, "alertname": "LecombusDriveTripped", "exp_alerts": alerts}
-                        for at, alerts in expected.items()
-                    ],
-                }
-            ],
-        },
-    )

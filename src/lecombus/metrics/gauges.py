@@ -94,6 +94,7 @@ class LineGauges:
     def __init__(self, line: str) -> None:
         self._line = f'line="{escape(line)}"'
         self._leases = LeaseGauges(line)
+        self._watchdogs = WatchdogGauges(line)
         self._up = gauge("line_up", "1 while the port is open.")
         self._depth = gauge("queue_depth", "Requests waiting, by class.")
         self._stretch = gauge(
@@ -111,21 +112,10 @@ class LineGauges:
             "schedule_slack_seconds",
             "Time left until the line must be free to feed a watchdog; absent while none is fed.",
         )
-        self._margin = gauge(
-            "watchdog_margin_seconds", "Time left until the drive's watchdog would fire."
-        )
-        self._lowest = gauge(
-            "watchdog_margin_lowest_seconds",
-            "Least time that was left to the drive's watchdog in the last 30 seconds.",
-        )
-        self._time = gauge(
-            "watchdog_time_seconds", "Time after which the drive's watchdog acts, as it is set."
-        )
         self._answers = gauge(
             "drive_answer_ratio",
             "Slowest answer time measured / longest in the manual, without the adapter's delay.",
         )
-        self._misses = counter("watchdog_misses", "Feeds that were later than the watchdog time.")
         self._refused = counter(
             "schedule_refusals",
             "Requests that the schedule refused: queue full, drive offline, line lost, no room.",
@@ -149,8 +139,7 @@ class LineGauges:
         """The families, in the order of the page."""
         return (
             *(self._up, self._depth, self._refused, self._stretch, self._late, self._skipped),
-            *(self._woken, self._slack, self._margin, self._lowest, self._time, self._misses),
-            *(self._writes, self._answers),
+            *(self._woken, self._slack, *self._watchdogs.blocks, self._writes, self._answers),
             *self._leases.blocks,
             *(self._events, self._readers, self._dropped),
         )
@@ -174,22 +163,53 @@ class LineGauges:
             label = f'{line},priority="{label_of(priority)}"'
             self._depth.add(label, snapshot.queue_depth.get(priority, 0))
             self._refused.add(label, snapshot.refused.get(priority, 0))
-        for drive, margin_s in snapshot.watchdog_margin_s.items():
-            self._margin.add(f'{line},drive="{escape(drive)}"', margin_s)
-        for drive, lowest_s in snapshot.watchdog_lowest_s.items():
-            self._lowest.add(f'{line},drive="{escape(drive)}"', lowest_s)
-        for drive, time_s in snapshot.watchdog_time_s.items():
-            self._time.add(f'{line},drive="{escape(drive)}"', time_s)
+        self._watchdogs.render(snapshot)
         for drive, ratio in snapshot.answer_ratio.items():
             self._answers.add(f'{line},drive="{escape(drive)}"', ratio)
-        for drive, misses in snapshot.watchdog_misses.items():
-            self._misses.add(f'{line},drive="{escape(drive)}"', misses)
         for drive, writes in snapshot.writes.items():
             label = f'{line},drive="{escape(drive)}",code="'
             for code, count in writes.items():
                 self._writes.add(f'{label}{code}"', count)
         if snapshot.leases is not None:
             self._leases.render(snapshot.leases)
+
+
+class WatchdogGauges:
+    """The samples of the drives' watchdogs.
+
+    Args:
+        line: The line's name.
+    """
+
+    def __init__(self, line: str) -> None:
+        self._line = f'line="{escape(line)}"'
+        self._margin = gauge(
+            "watchdog_margin_seconds", "Time left until the drive's watchdog would fire."
+        )
+        self._lowest = gauge(
+            "watchdog_margin_lowest_seconds",
+            "Least time that was left to the drive's watchdog in the last 30 seconds.",
+        )
+        self._time = gauge(
+            "watchdog_time_seconds", "Time after which the drive's watchdog acts, as it is set."
+        )
+        self._misses = counter("watchdog_misses", "Feeds that were later than the watchdog time.")
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """The families, in the order of the page."""
+        return (self._margin, self._lowest, self._time, self._misses)
+
+    def render(self, snapshot: LineSnapshot) -> None:
+        """Write the lines of every family."""
+        for block, figures in (
+            (self._margin, snapshot.watchdog_margin_s),
+            (self._lowest, snapshot.watchdog_lowest_s),
+            (self._time, snapshot.watchdog_time_s),
+            (self._misses, snapshot.watchdog_misses),
+        ):
+            for drive, figure in figures.items():
+                block.add(f'{self._line},drive="{escape(drive)}"', figure)
 
 
 class LeaseGauges:
