@@ -17,6 +17,7 @@ from lecombus.drives.measured import SlowAnswers
 from lecombus.parameters import AddressForm, Code
 
 __all__ = [
+    "ON_DEMAND_GOOD_S",
     "Addressing",
     "ApiEntry",
     "CyclicEntry",
@@ -40,6 +41,7 @@ __all__ = [
     "StoredWrites",
     "TlsEntry",
     "WatchdogEntry",
+    "good_for_s",
     "group_entry",
     "is_loopback",
     "is_network_port",
@@ -348,6 +350,28 @@ class Roster(_Model):
     def drive(self, name: str) -> DriveEntry | None:
         """Return a drive by its name."""
         return next((entry for entry in self.drives if entry.name == name), None)
+
+
+ON_DEMAND_GOOD_S: Final = 10.0
+"""A value read once is called stale after this: about as long as a person looks at a screen."""
+
+CYCLIC_GRACE_S: Final = 1.0
+"""On top of two periods: a retry and a quarantine do not make a value stale."""
+
+STRETCH_MOST: Final = 4.0
+"""A line that takes longer for its periods does not make unread values fresh."""
+
+
+def good_for_s(every_s: float | None, stretch: float) -> float:
+    """Return how old a value may be before it counts as stale, seconds.
+
+    Args:
+        every_s: How often its code is read; None: not cyclically.
+        stretch: How far the line stretches its cyclic reads at present, 1 or more.
+    """
+    if every_s is None:
+        return ON_DEMAND_GOOD_S
+    return 2 * every_s * min(stretch, STRETCH_MOST) + CYCLIC_GRACE_S
 
 
 def is_network_port(port: str) -> bool:

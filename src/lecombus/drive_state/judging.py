@@ -39,13 +39,13 @@ from lecombus.drive_state.readings import (
 )
 from lecombus.drives import OperatingState, believed_states, join_states
 from lecombus.parameters import Code
+from lecombus.roster import good_for_s
 
 if TYPE_CHECKING:
     from lecombus.drives import CodeInfo, Family
     from lecombus.parameters import Value
 
 __all__ = [
-    "ON_DEMAND_FRESH_S",
     "Cell",
     "DriveRecord",
     "Judge",
@@ -129,15 +129,6 @@ def set_remark(remarks: dict[str, str], key: str, text: str | None) -> bool:
 
 
 OUTPUT: Final = Code(50)
-
-ON_DEMAND_FRESH_S: Final = 10.0
-"""A value read once is called stale after this: about as long as a person looks at a screen."""
-
-CYCLIC_GRACE_S: Final = 1.0
-"""On top of two periods: a retry and a quarantine do not make a value stale."""
-
-STRETCH_MOST: Final = 4.0
-"""A line that takes longer for its periods does not make unread values fresh."""
 
 CLOCK_STEP_S: Final = 0.02
 """The time of day is followed in steps of this, so that a value's time does not flicker."""
@@ -260,8 +251,7 @@ class Judge:
             if age_s > self._fresh_for_s:
                 return Quality.STALE, f"read {age_s:.1f} s ago, {NOT_CYCLIC}"
             return Quality.GOOD, None
-        stretch = min(self._line.stretch, STRETCH_MOST)
-        allowed_s = 2 * cell.every_s * stretch + CYCLIC_GRACE_S
+        allowed_s = good_for_s(cell.every_s, self._line.stretch)
         if age_s > allowed_s:
             return Quality.STALE, f"read {age_s:.1f} s ago, {allowed_s:.1f} s allowed"
         return Quality.GOOD, None

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from lecombus.drive_state.judging import (
-    ON_DEMAND_FRESH_S,
     Cell,
     DriveRecord,
     Judge,
@@ -40,6 +39,7 @@ from lecombus.drive_state.readings import (
 )
 from lecombus.drives import StopAction
 from lecombus.errors import OperationError, meant
+from lecombus.roster import ON_DEMAND_GOOD_S
 
 if TYPE_CHECKING:
     from lecombus.drives import Family
@@ -102,7 +102,7 @@ class Store:
         clock: Callable[[], float],
         wall: Callable[[], float],
         *,
-        fresh_for_s: float = ON_DEMAND_FRESH_S,
+        fresh_for_s: float = ON_DEMAND_GOOD_S,
     ) -> None:
         self._clock = clock
         self._wall = wall
