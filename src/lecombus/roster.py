@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ipaddress
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict
 
@@ -30,9 +30,14 @@ __all__ = [
     "Lapse",
     "LeaseEntry",
     "LineEntry",
+    "MailEntry",
+    "MailSecurity",
     "Medium",
+    "MessageLimit",
     "ModbusEntry",
     "MqttEntry",
+    "NotifyEntry",
+    "NotifyEvent",
     "OnJournalFailure",
     "OnShutdown",
     "Parity",
@@ -57,6 +62,11 @@ Lapse = Literal["quick-stop", "inhibit", "silence", "hold"]
 StopFallback = Literal["inhibit", "none"]
 OnShutdown = Literal["nothing", "quick-stop", "inhibit"]
 OnJournalFailure = Literal["refuse", "go-on"]
+MailSecurity = Literal["starttls", "tls", "none"]
+NotifyEvent = Literal[
+    "trip", "drive-lost", "line-lost", "watchdog-missed", "lease-lapse", "daemon-lost"
+]
+"""What `lecombus bridge notify` sends messages of."""
 
 
 MulticastAddress = Callable[[frozenset[int], frozenset[int]], int | None]
@@ -300,6 +310,60 @@ class ModbusEntry(_Model):
     control: bool = False
 
 
+class MailEntry(_Model):
+    """How messages are mailed.
+
+    Args:
+        to: The receivers.
+        sender: The sender.
+        host: The mail server; None: this computer's sendmail.
+        port: Its TCP port; None: by `security`.
+        security: TLS after STARTTLS, TLS from the first byte, or none.
+        user: Who logs in; None: no login.
+        password_file: The file with the password, the whole file without its last line end.
+        ca: File with the authorities of the server's certificate; None: those of the system.
+    """
+
+    to: tuple[str, ...]
+    sender: str
+    host: str | None = None
+    port: int | None = None
+    security: MailSecurity = "starttls"
+    user: str | None = None
+    password_file: str | None = None
+    ca: str | None = None
+
+
+class MessageLimit(_Model):
+    """So many messages may follow each other (`burst`), then one more in each `every_s` seconds."""
+
+    burst: int = 5
+    every_s: float = 300.0
+
+
+class NotifyEntry(_Model):
+    """What is sent to people when something happens.
+
+    Args:
+        command: A program and its arguments; empty: none. command_time_s: How long it may run.
+        mail: How messages are mailed; None: they are not.
+        events: What messages are sent of.
+        ends: Whether they are also sent of its end.
+        gather_s: How long is waited for more that belongs into the same message.
+        limit: How often messages may be sent.
+        daemon_gone_s: How long the daemon does not answer until it counts as lost.
+    """
+
+    command: tuple[str, ...] = ()
+    command_time_s: float = 10.0
+    mail: MailEntry | None = None
+    events: tuple[NotifyEvent, ...] = get_args(NotifyEvent)
+    ends: bool = True
+    gather_s: float = 5.0
+    limit: MessageLimit = MessageLimit()
+    daemon_gone_s: float = 15.0
+
+
 class JournalEntry(_Model):
     """The journal.
 
@@ -328,6 +392,7 @@ class Roster(_Model):
         api: Where the API listens.
         mqtt: The message broker; None: none.
         modbus: The Modbus TCP bridge; None: none.
+        notify: What is sent to people; None: nothing.
         journal: The journal; None: none.
         state: The state file; None: nothing is kept.
         not_yet_used: Keys that were given and checked but do nothing in this version.
@@ -343,6 +408,7 @@ class Roster(_Model):
     api: ApiEntry
     mqtt: MqttEntry | None = None
     modbus: ModbusEntry | None = None
+    notify: NotifyEntry | None = None
     journal: JournalEntry | None = None
     state: str | None = None
     not_yet_used: tuple[str, ...] = ()

@@ -63,6 +63,9 @@ def test_the_defaults_of_a_part_of_a_drive_are_what_an_editor_shows(name: str) -
     ("_API", GOOD + "api: {forgotten: yes}\n"),
     ("_MQTT", GOOD + "mqtt: {host: broker, forgotten: yes}\n"),
     ("_MODBUS", GOOD + "modbus: {forgotten: yes}\n"),
+    ("_NOTIFY", GOOD + "notify: {command: [/bin/page], forgotten: yes}\n"),
+    ("_MAIL", GOOD + "notify: {mail: {to: [a@b.c], from: a@b.c, forgotten: yes}}\n"),
+    ("_LIMIT", GOOD + "notify: {command: [/bin/page], limit: {forgotten: yes}}\n"),
     ("_ROSTER", GOOD + "forgotten: yes\n"),
 ])  # fmt: skip
 def test_a_key_without_a_field_is_an_error_and_is_not_dropped(

@@ -171,8 +171,8 @@ VALUES = st.recursive(
     ),
     max_leaves=6,
 )
-KEYS = ["line", "drives", "groups", "lease", "on_shutdown", "api", "mqtt", "modbus", "journal",
-        "version", "nmae"]  # fmt: skip
+KEYS = ["line", "drives", "groups", "lease", "on_shutdown", "api", "mqtt", "modbus", "notify",
+        "journal", "version", "nmae"]  # fmt: skip
 DRIVE_KEYS = ["name", "address", "family", "watchdog", "cyclic", "writable", "lease", "addressing",
               "answer_time", "accept_software", "allow_address_change"]  # fmt: skip
 

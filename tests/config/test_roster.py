@@ -14,7 +14,14 @@ from lecombus.config import LeaseEntry, load_roster
 from lecombus.drives import FAMILY_NAMES, family
 from lecombus.fieldbus.lecom.protocol.addressing import Form, group_reach, multicast_address
 from lecombus.parameters import Code
-from lecombus.roster import JournalEntry, ModbusEntry, TlsEntry
+from lecombus.roster import (
+    JournalEntry,
+    MailEntry,
+    MessageLimit,
+    ModbusEntry,
+    NotifyEntry,
+    TlsEntry,
+)
 
 ADDRESSES = [number for number in range(1, 100) if number % 10]
 
@@ -136,6 +143,32 @@ def test_modbus_is_local_and_read_only_unless_the_roster_says_more() -> None:
     assert parsed(roster_with(most + "control: yes}")).modbus == ModbusEntry(
         host="::", port=1502, units=(7,), allow=("192.0.2.7/32", "2001:db8::/64"), control=True
     )
+
+
+def test_messages_go_by_mail_or_command_with_what_the_roster_says() -> None:
+    assert parsed(GOOD).notify is None
+    least = "notify: {command: [/bin/page, '3']}"
+    assert parsed(roster_with(least)).notify == NotifyEntry(command=("/bin/page", "3"))
+    most = """
+notify:
+  command_time: 2s
+  mail: {to: [a@b.example, c@d.example], from: x@y.example, host: m.example, port: 2525,
+         security: tls, user: me, password_file: /etc/p, ca: /etc/ca.pem}
+  events: [trip, daemon-lost]
+  ends: no
+  gather: 1s
+  limit: {burst: 2, every: 1min}
+  daemon_gone: 30s
+"""
+    assert parsed(roster_with(most)).notify == NotifyEntry(
+        command_time_s=2.0,
+        mail=MailEntry(
+            to=("a@b.example", "c@d.example"), sender="x@y.example", host="m.example", port=2525,
+            security="tls", user="me", password_file="/etc/p", ca="/etc/ca.pem",
+        ),
+        events=("trip", "daemon-lost"), ends=False, gather_s=1.0,
+        limit=MessageLimit(burst=2, every_s=60.0), daemon_gone_s=30.0,
+    )  # fmt: skip
 
 
 def test_a_roster_may_say_of_which_form_it_is() -> None:

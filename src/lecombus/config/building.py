@@ -25,8 +25,11 @@ from lecombus.roster import (
     JournalEntry,
     LeaseEntry,
     LineEntry,
+    MailEntry,
+    MessageLimit,
     ModbusEntry,
     MqttEntry,
+    NotifyEntry,
     Roster,
     StoredWrites,
     TlsEntry,
@@ -42,10 +45,11 @@ STATE_DIR = Path("/var/lib/lecombus")
 _RENAMED = {
     "turnaround": "turnaround_s", "adapter_latency": "adapter_latency_s",
     "late_answer": "late_answer_s", "stall": "stall_s", "time": "time_s", "every": "every_s",
-    "answer_time": "answer_time_s",
+    "answer_time": "answer_time_s", "command_time": "command_time_s", "gather": "gather_s",
+    "daemon_gone": "daemon_gone_s", "from": "sender",
 }  # fmt: skip
 _BUILT = frozenset(
-    {"line", "drives", "lease", "groups", "api", "mqtt", "modbus", "journal", "state"}
+    {"line", "drives", "lease", "groups", "api", "mqtt", "modbus", "notify", "journal", "state"}
 )
 """The keys of a roster that `build_roster` makes more of than their value."""
 _COMPLETED = frozenset({"addressing", "cyclic", "writable", "also_writable", "lease"})
@@ -63,7 +67,7 @@ def build_roster(roster: Fields, file: str) -> Roster:
         file=file, line=line, drives=drives, lease=lease,
         groups=_groups(roster, drives, line.protocol),
         api=_api(roster.get("api"), line.name), mqtt=_mqtt(roster.get("mqtt")),
-        modbus=_modbus(roster.get("modbus")),
+        modbus=_modbus(roster.get("modbus")), notify=_notify(roster.get("notify")),
         journal=_journal(roster.get("journal")), state=_state(roster.get("state"), line),
         not_yet_used=_not_yet_used(roster),
     )  # fmt: skip
@@ -106,6 +110,11 @@ _CONVERTED: Final[Mapping[str, Callable[[Any], Any]]] = {
     "hosts": lambda given: tuple(item.value.lower() for item in given),
     "units": lambda given: tuple(item.value for item in given),
     "allow": lambda given: tuple(item.value for item in given),
+    "command": lambda given: tuple(item.value for item in given),
+    "mail": lambda given: MailEntry(**_fields(given)),
+    "to": lambda given: tuple(item.value for item in given),
+    "events": lambda given: tuple(item.value for item in given),
+    "limit": lambda given: MessageLimit(**_fields(given)),
     "tls": lambda given: TlsEntry(**_fields(given)) if isinstance(given, Fields) else given,
 }
 """How the values of keys become those of fields, where they are not the same."""
@@ -172,6 +181,10 @@ def _mqtt(entry: Fields | None) -> MqttEntry | None:
 
 def _modbus(entry: Fields | None) -> ModbusEntry | None:
     return None if entry is None else ModbusEntry(**_fields(entry))
+
+
+def _notify(entry: Fields | None) -> NotifyEntry | None:
+    return None if entry is None else NotifyEntry(**_fields(entry))
 
 
 def _journal(entry: Fields | None) -> JournalEntry | None:

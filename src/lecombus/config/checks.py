@@ -70,6 +70,7 @@ def check_roster(roster: Fields, protocol: str, mistakes: Mistakes) -> None:
     _check_default_lapse(roster, drives, mistakes)
     _check_access(roster, mistakes)
     _check_modbus(roster, mistakes)
+    _check_notify(roster, mistakes)
 
 
 def check_feasibility(entries: Fields, roster: Roster, mistakes: Mistakes) -> None:
@@ -257,6 +258,50 @@ def _check_modbus(roster: Fields, mistakes: Mistakes) -> None:
         what = "`host` is not local: that needs `allow` too, because Modbus has no passwords"
         right = "list the addresses of the controllers, such as `allow: [192.0.2.7]`"
         mistakes.note(modbus.place("host"), what, right)
+
+
+def _check_notify(roster: Fields, mistakes: Mistakes) -> None:
+    """Note messages that go nowhere, a command that is not found, events named twice."""
+    notify = roster.get("notify")
+    if not isinstance(notify, Fields):
+        return
+    if "command" not in notify.nodes and "mail" not in notify.nodes:
+        mistakes.note(notify.node, "messages go nowhere", "give `command` or `mail`")
+    command, events = notify.get("command"), notify.get("events")
+    if isinstance(command, Items) and command.items:
+        first = command.items[0]
+        if command.complete and not first.value.startswith("/"):
+            what = f"the program {shown(first.value)} is no absolute path"
+            mistakes.note(first.node, what, f"write it from /, such as /usr/bin/{first.value}")
+    seen: set[str] = set()
+    for item in events if isinstance(events, Items) else ():
+        if item.value in seen:
+            what = f"the event `{item.value}` is there twice"
+            mistakes.note(item.node, what, "remove one of them")
+        seen.add(item.value)
+    mail = notify.get("mail")
+    if isinstance(mail, Fields):
+        _check_mail(mail, mistakes)
+
+
+def _check_mail(mail: Fields, mistakes: Mistakes) -> None:
+    """Note keys that belong to a mail server where none is named, and passwords others can read."""
+    if "host" not in mail.nodes:
+        for key in ("port", "security", "user", "password_file", "ca"):
+            if key in mail.nodes:
+                what = f"`{key}` needs `host`: sendmail of this computer has its own settings"
+                mistakes.note(mail.place(key), what, "name the mail server, or remove it")
+        return
+    for key, other in (("user", "password_file"), ("password_file", "user")):
+        if key in mail.nodes and other not in mail.nodes:
+            mistakes.note(mail.place(key), f"`{key}` needs `{other}`", "give both, or none")
+    if mail.get("security") == "none":
+        if "ca" in mail.nodes:
+            right = "remove it, or write `security: starttls`"
+            mistakes.note(mail.place("ca"), "`ca` is for TLS, which is off", right)
+        if "password_file" in mail.nodes and not is_loopback(mail.get("host", "")):
+            what = "without TLS everybody on the way can read the password"
+            mistakes.note(mail.place("security"), what, "`starttls` or `tls` would be right")
 
 
 WRITABLE = ("writable", "also_writable")

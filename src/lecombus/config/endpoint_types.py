@@ -21,6 +21,7 @@ __all__ = [
     "Host",
     "HttpType",
     "IpAddress",
+    "MailAddress",
     "Network",
     "PortType",
 ]
@@ -211,3 +212,19 @@ class Network(ScalarType):
         except ValueError:
             raise WrongText("is no address", f"give {self.expects}") from None
         raise WrongText("has bits behind its network part", f"write {meant}")
+
+
+class MailAddress(ScalarType):
+    """An address of mail: the bare address, without a name beside it."""
+
+    def __init__(self) -> None:
+        pattern = "[A-Za-z0-9.!#$%&'*+/=?^_`{|}~-]{1,64}@[A-Za-z0-9.-]{1,253}"
+        super().__init__(
+            "an address such as duty@example.org", {"type": "string", "pattern": f"^{pattern}$"}
+        )
+        self._form = re.compile(pattern, re.ASCII)
+
+    def _convert(self, text: str) -> str:
+        if self._form.fullmatch(text) is None:
+            raise WrongText("is no mail address", f"give {self.expects}")
+        return text

@@ -21,6 +21,7 @@ from lecombus.config.endpoint_types import (
     Host,
     HttpType,
     IpAddress,
+    MailAddress,
     Network,
     PortType,
 )
@@ -229,6 +230,41 @@ _MODBUS: Final = Table("modbus", (
         default=False),
 ), "The Modbus TCP bridge (`lecombus bridge modbus`).")  # fmt: skip
 
+_MAIL: Final = Table("mail", (
+    Key("to", ListOf(MailAddress(), "the address", least=1), "The receivers.", required=True),
+    Key("from", MailAddress(), "The sender.", required=True),
+    Key("host", Host(), "The mail server. Absent: /usr/sbin/sendmail of this computer."),
+    Key("port", Whole(1, 65535), "Absent: 587, with `security: tls` 465, with none 25."),
+    Key("security", Keyword(get_args(roster.MailSecurity)),
+        "TLS after STARTTLS, TLS from the first byte, or none.", default="starttls"),
+    Key("user", TextLine("the name to log in with"), "Who logs in. Absent: no login."),
+    Key("password_file", AbsolutePath("/etc/lecombus/mail-password"),
+        "File with the password, which others may not read."),
+    Key("ca", AbsolutePath("/etc/lecombus/mail-ca.pem"),
+        "PEM file: the authorities of the server's certificate. Absent: those of the system."),
+), "Messages by mail.")  # fmt: skip
+
+_LIMIT: Final = Table("limit", (
+    Key("burst", Whole(1, 100), "How many messages may follow each other.", default=5),
+    Key("every", Duration(1, _DAY_S), "How long until one more may follow.", default="5min"),
+), "How often messages are sent; what happens in between stands in the next one.")  # fmt: skip
+
+_NOTIFY: Final = Table("notify", (
+    Key("command", ListOf(TextLine("a word of the command", 1000), "the word", least=1),
+        "A program by its absolute path and its arguments, run without a shell; the message is "
+        "JSON on its standard input."),
+    Key("command_time", Duration(0.1, 600), "How long the command may run.", default="10s"),
+    Key("mail", _MAIL, _MAIL.doc),
+    Key("events", ListOf(Keyword(get_args(roster.NotifyEvent)), "the event", least=1),
+        "What messages are sent of.", default=list(get_args(roster.NotifyEvent))),
+    Key("ends", YesNo(), "Whether messages are also sent when it ends.", default=True),
+    Key("gather", Duration(0, _HOUR_S),
+        "How long to wait for more that belongs into the same message.", default="5s"),
+    Key("limit", _LIMIT, _LIMIT.doc),
+    Key("daemon_gone", Duration(1, _HOUR_S),
+        "How long the daemon does not answer until it counts as lost.", default="15s"),
+), "Messages to people, by command or mail (`lecombus bridge notify`).")  # fmt: skip
+
 _JOURNAL: Final = ShortTable("journal", (
     Key("file", AbsolutePath("/var/lib/lecombus/hall-3.sqlite"),
         "Its file, made where there is none.", required=True),
@@ -254,6 +290,7 @@ _ROSTER: Final = Table("roster", (
     Key("api", _API, _API.doc),
     Key("mqtt", _MQTT, _MQTT.doc),
     Key("modbus", _MODBUS, _MODBUS.doc),
+    Key("notify", _NOTIFY, _NOTIFY.doc),
     Key("journal", _JOURNAL, _JOURNAL.doc),
     Key("state", AbsolutePath("/var/lib/lecombus/hall-3.json"),
         "What must outlive the daemon: identities and write counts. Absent: "
