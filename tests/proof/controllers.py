@@ -30,7 +30,7 @@ __all__ = ["Controllers"]
 
 MOST = 4
 ENDS = ("die", "stall", "release", "burst", "burst")
-SETPOINT_CODES = {"smvector": 140, "93xx": 141}
+SETPOINT_CODES = {"smvector": 1061, "93xx": 141}
 EXPIRY_S = 20.0
 LEAST_S = 0.1
 CONTROLLERS = 3_000_017

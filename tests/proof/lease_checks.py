@@ -5,8 +5,8 @@ clock: nothing is asked of the daemon's own leases. Then:
 
 * A write goes out only with the token of the lease that is held for its drive when it is handed to
   the port; without a token only where none is needed or held. While the drive is latched, no
-  setpoint and no control word go out but those of an enable.
-* No latched drive starts or takes another setpoint, as the drive itself shows.
+  control word goes out but those of an enable, and a setpoint only while the line has it stopped.
+* No latched drive starts or takes another setpoint while it is let run, as the drive itself shows.
 * After a lapse its stop begins within the wait that the plan promises for stops; stops of other
   drives add their line time, and a daemon that does not run the time for which it does not.
 * It is carried out once: further stops only if the last was not proven or the drive was away.
@@ -46,7 +46,7 @@ ASKED_WITH: Final[ContextVar[str | None]] = ContextVar("ASKED_WITH", default=Non
 ENABLING: Final[ContextVar[bool]] = ContextVar("ENABLING", default=False)
 """Whether what a client asks for is the verb `enable`."""
 
-SETPOINTS = {"smvector": (140, 0), "93xx": (141, 0)}
+SETPOINTS = {"smvector": {(140, 0), (1061, 0)}, "93xx": {(141, 0)}}
 CONTROL = {(40, 0), (135, 0)}
 EPSILON_S = 1e-6
 FOLLOWS_S = 3.0
@@ -135,6 +135,7 @@ class Counts:
     enabled: int = 0
     refused: int = 0
     withdrawn: int = 0
+    set_while_latched: int = 0
     latest: float = field(default=0.0)
 
 
@@ -409,7 +410,7 @@ class LeaseChecks:
     def _judge_write(self, one: _Drive, telegram: Telegram, asked: _Asked | None) -> None:
         code, text = telegram.code, telegram.text
         what = f"{text} was written to C{code[0]:04d} of {one.name}"
-        moving = code in CONTROL or code == SETPOINTS.get(self._families[one.name], (46, 0))
+        moving = code in CONTROL or code in SETPOINTS.get(self._families[one.name], {(46, 0)})
         if asked is None or asked.token is None:
             if moving:
                 self._say(f"{what}, and nobody asked for it")
@@ -420,13 +421,15 @@ class LeaseChecks:
             return
         if self._is_unknown(one.changed_s, telegram.said_s):
             return
-        why = self._why_not(one, asked, moving=moving)
+        why = self._why_not(one, asked, moving=moving, command=code in CONTROL)
         if why:
             self._say(f"{what}: {why}")
+        elif one.latched and moving and not asked.enabling:
+            self.counts.set_while_latched += 1  # it is no excuse for a drive that moves
         else:
             one.moved_s = telegram.said_s
 
-    def _why_not(self, one: _Drive, asked: _Asked, *, moving: bool) -> str:
+    def _why_not(self, one: _Drive, asked: _Asked, *, moving: bool, command: bool) -> str:
         held = one.held
         if not asked.token:
             if held is not None:
@@ -437,7 +440,12 @@ class LeaseChecks:
         if held is None or held.token != asked.token:
             return "with a token that counts no more"
         if one.latched and moving and not asked.enabling:
-            return "while it is latched"
+            if command:
+                return "while it is latched"
+            self._sim.advance(self._clock())
+            model = self._sim[one.name].model
+            if not (model.inhibited() or model.stop_wanted()):
+                return "while it is latched, and the line has not stopped it"
         return ""
 
     def ended(self, report: ExchangeReport) -> None:

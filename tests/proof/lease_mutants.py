@@ -65,11 +65,19 @@ LEASE_MUTANTS: dict[str, Mutant] = {
         (2, 1),
         leased=True,
     ),
-    "a setpoint is taken while latched": Mutant(
+    "a latched drive is written to as any other": Mutant(
         LeaseBook,
         "objection",
-        "control.latch is not None and use is Use.MOTION",
-        "False",
+        "control.latch is None or use in (Use.SETTING, Use.ENABLE)",
+        "True",
+        (2, 1),
+        leased=True,
+    ),
+    "a setpoint is taken while latched and not stopped": Mutant(
+        LeaseBook,
+        "objection",
+        "or holds_stop(use)",
+        "or use is Use.SETPOINT",
         (2, 1),
         leased=True,
     ),

@@ -15,7 +15,7 @@ from lecombus.line_events import LineChange
 from lecombus.roster import WatchdogEntry
 from lecombus.schedule import Outcome, Priority, Request, Schedule
 from lecombus.supervision.health import AuditQueue, Health
-from support.single_drives import drive_of
+from support.single_drives import drive_of, stop_of_group
 
 STARTING, ONLINE, DEGRADED, OFFLINE = (
     DriveState.STARTING, DriveState.ONLINE, DriveState.DEGRADED, DriveState.OFFLINE,
@@ -251,5 +251,30 @@ def test_a_silence_lasts_while_a_stop_waits_or_is_under_way_and_then_a_watchdog_
     ward.schedule.finished(stop, ward.now_s - 0.1, ward.now_s, kind is GOOD)
     ward.health.judge(ward.drive, kind, "")
     assert not ward.health.is_silence_over(ward.drive), "the stop fed it"
+    ward.now_s += watchdog_s
+    assert ward.health.is_silence_over(ward.drive)
+
+
+@pytest.mark.parametrize("kind", [ResultKind.SENT, ResultKind.LOST])
+def test_a_silence_lasts_while_a_group_is_stopped_and_then_a_watchdog_time(
+    kind: ResultKind,
+) -> None:
+    """A multicast feeds each of its members."""
+    ward, watchdog_s = Ward(), 3.0
+    watchdog = WatchdogEntry(time_s=watchdog_s, action="inhibit", configure=True)
+    ward.drive.entry = ward.drive.entry.model_copy(update={"watchdog": watchdog})
+    ward.health.silence(ward.drive, "so that its watchdog acts")
+    ward.now_s += watchdog_s
+    stop = Request(
+        "all", Priority.STOP, 0.02, 0.1, lambda outcome, reason: None, stops=("a",), members=("a",)
+    )
+    ward.schedule.submit(stop, ward.now_s)
+    assert not ward.health.is_silence_over(ward.drive), "it waits"
+    assert ward.schedule.next(ward.now_s) is stop
+    assert not ward.health.is_silence_over(ward.drive), "it is under way"
+    ward.now_s += 0.1
+    ward.schedule.finished(stop, ward.now_s - 0.1, ward.now_s, reached=False)
+    ward.health.exchange_ended(stop_of_group(ward.drive, kind, ward.now_s))
+    assert not ward.health.is_silence_over(ward.drive), "it fed the drive"
     ward.now_s += watchdog_s
     assert ward.health.is_silence_over(ward.drive)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Mapping, Sequence
 from contextlib import asynccontextmanager
+from decimal import Decimal
 from typing import TypeVar
 
 import anyio
@@ -42,6 +43,9 @@ def roster(
     drives = [(name, 11 + place, kind) for place, name in enumerate(names)]
     drive = f"{lease}, {more}" if more else lease
     return roster_text(drives, drive=drive, watchdog=watchdog, sections=sections)
+
+
+UNITS = dict.fromkeys(KINDS, "Hz") | {"93xx": "%"}
 
 
 def setpoint(kind: str) -> int:
@@ -178,8 +182,8 @@ def test_nothing_moves_until_a_new_lease_is_held_and_the_drive_is_enabled(policy
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(client.renewing)
             await plant.online("a", within_s=30.0)
-            for _ in range(2):
-                refused = await kind_of_refusal(client.do(client.ops.write("a", Code(46), 5)))
+            for code in (37, 135):  # a fixed speed, and a control word
+                refused = await kind_of_refusal(client.do(client.ops.write("a", Code(code), 5)))
                 assert refused == "latched"
                 await anyio.sleep(10.0)
             assert standing(plant) is (policy != "hold")
@@ -192,7 +196,106 @@ def test_nothing_moves_until_a_new_lease_is_held_and_the_drive_is_enabled(policy
             assert "lease" not in plant.site.store.drive("a").remarks
             client.alive = False
 
-    with_plant(test, roster("8200vector", policy))
+    with_plant(test, roster("8200vector", policy, more="also_writable: [C0037]"))
+
+
+@pytest.mark.parametrize("by_verb", [False, True])
+@pytest.mark.parametrize("policy", ["quick-stop", "inhibit"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_setpoint_that_is_written_before_the_enable_is_the_one_that_the_motor_starts_with(
+    kind: str, policy: str, by_verb: bool
+) -> None:
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as first:
+            was = output(plant)
+            first.alive = False
+        await anyio.sleep(25.0)
+        client = Client(plant, "next")
+        client.take()
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(client.renewing)
+            await plant.online("a", within_s=30.0)
+            assert standing(plant)
+            if by_verb:
+                speed = client.ops.verb("a", Verb.SET_SPEED, value=Decimal(7), unit=UNITS[kind])
+                assert (await client.do(speed)).outcome.is_good
+            else:
+                written = client.ops.write("a", Code(setpoint(kind)), 7, verify=True)
+                assert (await client.do(written)).outcome is Outcome.VERIFIED
+            assert latch(plant) is not None
+            for _ in range(20):
+                assert standing(plant)
+                await anyio.sleep(0.5)
+            report = await client.do(client.ops.verb("a", Verb.ENABLE))
+            assert report.outcome is Outcome.VERIFIED
+            highest = 0.0
+            for _ in range(100):
+                await anyio.sleep(0.2)
+                highest = max(highest, output(plant))
+            assert 0.0 < highest < was / 2.0
+            client.alive = False
+
+    with_plant(test, roster(kind, policy))
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_a_latched_drive_that_does_not_show_a_stop_of_the_line_takes_no_setpoint(
+    closed: bool,
+) -> None:
+    """It runs, or a terminal stops it, which may let it go again."""
+
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as first:
+            first.alive = False
+        await anyio.sleep(25.0)
+        plant.line["a"].model.set_terminal(high=closed)
+        client = Client(plant, "next")
+        client.take()
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(client.renewing)
+            await plant.online("a", within_s=30.0)
+            before = [one for one in plant.line["a"].log if one.code == 46 and one.kind == "write"]
+            with pytest.raises(OperationError, match="does not show a stop of the line") as caught:
+                await client.do(client.ops.write("a", Code(46), 5))
+            assert caught.value.kind == "latched"
+            after = [one for one in plant.line["a"].log if one.code == 46 and one.kind == "write"]
+            assert after == before
+            await client.ops.stop(StopAction.QUICK_STOP, "a")
+            assert (await client.do(client.ops.write("a", Code(46), 5))).outcome.is_good
+            await anyio.sleep(20.0)
+            assert standing(plant)
+            client.alive = False
+
+    with_plant(test, roster("8200vector", "hold"))
+
+
+def test_who_controls_a_latched_drive_is_changed_only_to_the_line_and_while_it_is_inhibited() -> (
+    None
+):
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as first:
+            first.alive = False
+        await anyio.sleep(10.0)
+        plant.line["a"].model.preset(1, "0")
+        client = Client(plant, "next")
+        client.take()
+
+        async def written(value: int) -> str:
+            return await kind_of_refusal(client.do(client.ops.write("a", Code(1), value)))
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(client.renewing)
+            assert [await written(0), await written(3)] == ["latched", "latched"]
+            await client.ops.stop(StopAction.INHIBIT, "a")
+            assert [await written(0), await written(3)] == ["latched", ""]
+            await anyio.sleep(20.0)
+            assert standing(plant)
+            report = await client.do(client.ops.verb("a", Verb.ENABLE))
+            assert report.outcome is Outcome.VERIFIED
+            assert await written(0) == ""
+            client.alive = False
+
+    with_plant(test, roster("8200vector", more="also_writable: [C0001]"))
 
 
 def test_members_of_a_group_that_lapse_together_are_stopped_by_one_telegram() -> None:

@@ -16,7 +16,7 @@ from lecombus.parameters import Code, Value
 from lecombus.schedule import Priority, Settle
 from support.rosters import make_roster
 
-__all__ = ["AskedLine", "drive_of", "read_of"]
+__all__ = ["AskedLine", "drive_of", "read_of", "stop_of_group"]
 
 
 def drive_of(
@@ -36,6 +36,17 @@ def read_of(drive: Drive, code: Code, raw: str) -> ExchangeEvent:
         drive.entry.name, JobStep(StepKind.READ, code), result, Priority.CYCLIC, 0.0, 0.0
     )
     return ExchangeEvent(report, (drive,), code, 3.0, "answered", read=value, answered=True)
+
+
+def stop_of_group(drive: Drive, kind: ResultKind, ended_s: float) -> ExchangeEvent:
+    """The event of an inhibit of a group that a drive is in."""
+    code = Code(40)
+    result = Result(kind, ended_s - 0.1, ended_s, None, "")
+    report = ExchangeReport(
+        "all", JobStep(StepKind.MULTICAST, code, Value.decimal(0)), result, Priority.STOP, 0.0, 0.0,
+        (drive.name,),
+    )  # fmt: skip
+    return ExchangeEvent(report, (drive,), code, ended_s, "sent", to_all=kind is ResultKind.SENT)
 
 
 class AskedLine:

@@ -52,8 +52,8 @@ class ControlWord:
 
     __slots__ = (
         "_clock", "_code", "_commanded", "_free_at_s", "_heard_at_s", "_last_free", "_last_word",
-        "_mask", "_moved_by", "_moving", "_proofs", "_shown", "_watchdog_inhibits", "_watchdog_s",
-        "_word",
+        "_mask", "_moved_by", "_moving", "_proofs", "_said", "_shown", "_watchdog_inhibits",
+        "_watchdog_s", "_word",
     )  # fmt: skip
 
     def __init__(
@@ -77,6 +77,7 @@ class ControlWord:
         self._word: int | None = None
         self._moving = 0  # writes under way that change it
         self._commanded = False  # an inhibit was sent and not shown yet
+        self._said: dict[Code, Value] = {}  # what was written last since it was forgotten
         self._shown: set[Code] = set()  # codes that showed an inhibit last
         self._free_at_s: float | None = None  # when something last showed that there is none
         self._heard_at_s: float | None = None  # when the drive last answered
@@ -136,7 +137,7 @@ class ControlWord:
         """
         if code not in self._moved_by:
             return
-        self._word = None
+        self._word, self._said[code] = None, value
         if self._inhibits(code, value):
             self._command()
         else:
@@ -176,6 +177,7 @@ class ControlWord:
         """The word is not known any more, nor whether the drive is inhibited."""
         self._word = self._free_at_s = None
         self._commanded = False
+        self._said.clear()
         self._shown.clear()
 
     # ---- what is known ------------------------------------------------------------------------
@@ -188,6 +190,10 @@ class ControlWord:
     def moves(self, code: Code) -> bool:
         """Say whether a write to a code changes bits of the control word."""
         return code in self._moved_by
+
+    def said(self, code: Code) -> Value | None:
+        """What the line wrote last to a code that changes it; None: nothing since it was away."""
+        return self._said.get(code)
 
     def word(self) -> int | None:
         """The control word as last read or written, None when it is not known.

@@ -106,6 +106,7 @@ class CodeInfo:
         plain_when: Values for which the write is PLAIN all the same.
         writable: The drive accepts writes at all.
         motion: Writing it can move the drive: a stop cancels such a write while it waits.
+        control_source: It says from where the drive takes its setpoint, control word or enable.
         source: Manual and section.
         name_de: Its German name.
         low: The least value, in `unit`; None where the manual gives none.
@@ -145,6 +146,7 @@ class CodeInfo:
     writable: Flag = False
     readable: Flag = True
     motion: Flag = False
+    control_source: Flag = False
     write_class: WriteClass = WriteClass.PLAIN
     plain_when: PlainWhen | None = None
     storage: Storage = Storage.VOLATILE

@@ -12,10 +12,10 @@ Source: EDB2102EN 5, 6.2 to 6.5, 8.2; CMVLC401A 4.2, 7.2, table 9.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from lecombus.errors import OperationError
-from lecombus.parameters import Code
+from lecombus.parameters import Code, Value
 
 from .family import Family
 from .stops import StopAction, usable_word
@@ -33,6 +33,7 @@ from .verb_facts import (
 from .verb_rules import (
     Access,
     BitsStep,
+    Demand,
     InhibitStep,
     RestartStep,
     Verb,
@@ -49,6 +50,8 @@ __all__ = [
     "fault_number",
     "further_questions",
     "has_fault",
+    "held_stop_codes",
+    "held_stops",
     "is_enabled",
     "questions",
     "reset_steps",
@@ -56,6 +59,7 @@ __all__ = [
     "states",
     "status_shows_quick_stop",
     "stop_words",
+    "takes_control",
 ]
 
 NOT_ENABLED = frozenset(
@@ -244,6 +248,69 @@ def status_shows_quick_stop(family: Family) -> bool:
         for word in family.words.values()
         for rule in word.states
     )
+
+
+def held_stops(known: Known, said: Callable[[Code], Value | None]) -> frozenset[StopAction]:
+    """Return the stops that the line has set and the drive shows: no setpoint moves it then.
+
+    The line must have written the command, because C0040 may also read 0 while a terminal inhibits
+    the drive; it must read as a stop left it; and a status word must show the stop where one of the
+    family can. No status word shows the quick stop of 8200 vector and 93XX: there the settings must
+    read as the drive needs them to follow its control word.
+
+    Args:
+        known: What the drive has shown just now, of `held_stop_codes`.
+        said: Gives what the line wrote last to a code; None: nothing that still counts.
+
+    Source: EDB2102EN 5, 6.2.1, 8.2 (C0040, C0068, C0135, C0150); CMVLC401A 4.2, table 9.
+    """
+    found = set()
+    for action, rule in known.family.stops.items():
+        reads = {code: known.values.get(code) for code in rule.proofs}
+        commands = (reads.pop(rule.code, None), said(rule.code))
+        proof = rule.proofs.get(rule.code)
+        if proof is None or not all(one is not None and proof.holds(one) for one in commands):
+            continue
+        if not reads:
+            shown = _follows_control_word(known)
+        else:
+            shows = [rule.proofs[code].holds(value) for code, value in reads.items() if value]
+            shown = bool(shows) and all(shows)
+        if shown:
+            found.add(action)
+    return frozenset(found)
+
+
+def held_stop_codes(family: Family) -> tuple[Code, ...]:
+    """Return the codes that `held_stops` needs: settings, status words and commands."""
+    codes = [one.condition.code for one in _control_word_demands(family)]
+    for rule in family.stops.values():
+        codes += [*[code for code in rule.proofs if code != rule.code][:1], rule.code]
+    return tuple(dict.fromkeys(codes))
+
+
+def takes_control(family: Family, code: Code, value: Value) -> bool:
+    """Return whether a value of a setting is what the line needs to control the drive."""
+    demands = family.verbs.demands if family.verbs is not None else ()
+    conditions = [
+        one.condition
+        for one in demands
+        for offset in family.set_offsets
+        if Code(one.condition.code.number + offset, one.condition.code.subcode) == code
+    ]
+    return bool(conditions) and all(one.holds(value) for one in conditions)
+
+
+def _follows_control_word(known: Known) -> bool:
+    demands = _control_word_demands(known.family)
+    return bool(demands) and all(
+        one.condition.holds(known.values.get(one.condition.code)) for one in demands
+    )
+
+
+def _control_word_demands(family: Family) -> list[Demand]:
+    demands = family.verbs.demands if family.verbs is not None else ()
+    return [one for one in demands if Access.CONTROL_WORD in one.access]
 
 
 # ---- reset-fault ----------------------------------------------------------------------------

@@ -8,7 +8,7 @@ refused for besides (`operations`), the HTTP form (`api.lease_routes`).
 Source: docs/adr/0079-what-a-lease-promises.md.
 """
 
-from lecombus.leases.lease_book import LeaseBook
+from lecombus.leases.lease_book import NEEDED_STOPS, LeaseBook
 from lecombus.leases.lease_records import (
     DriveControl,
     EndedLease,
@@ -20,6 +20,7 @@ from lecombus.leases.lease_records import (
 )
 
 __all__ = [
+    "NEEDED_STOPS",
     "DriveControl",
     "EndOfLease",
     "EndedLease",

@@ -6,13 +6,14 @@ no write counts after the end, however late a timer is. The ends are handed out 
 `take_ended`, to be carried out.
 
 A drive is latched when a lease ends without a successor, and after a start where the roster
-requires a lease: it takes no setpoint until a new lease is held and the drive was enabled with it.
+requires a lease: nothing that could move it is sent until a new lease is held and the drive was
+enabled with it. While it shows a stop, a setpoint cannot move it, and its holder may write one.
 Taking over keeps the drive as it is: only the token changes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from lecombus.durations import format_duration
 from lecombus.errors import OperationError
@@ -27,10 +28,13 @@ from lecombus.leases.lease_records import (
     is_same_token,
 )
 
-__all__ = ["LEAST_TIME_S", "LeaseBook"]
+__all__ = ["LEAST_TIME_S", "NEEDED_STOPS", "LeaseBook"]
 
 LEAST_TIME_S = 0.1
 """A client cannot renew more often than about ten times as fast."""
+
+NEEDED_STOPS: Mapping[Use, str] = {Use.SETPOINT: "a stop", Use.TAKE_CONTROL: "an inhibit"}
+"""What a latched drive must show so that it takes a write: no motor starts by it then."""
 
 TAKE_AND_ENABLE = "take a lease, then enable the drive with it"
 
@@ -228,7 +232,14 @@ class LeaseBook:
 
     # -- what is permitted ------------------------------------------------------------------------
 
-    def objection(self, drive: str, token: str, use: Use, now_s: float) -> OperationError | None:
+    def objection(
+        self,
+        drive: str,
+        token: str,
+        use: Use,
+        now_s: float,
+        holds_stop: Callable[[Use], bool] = lambda use: False,
+    ) -> OperationError | None:
         """Say why a write may not be made, or sent, now; None: it may.
 
         Args:
@@ -236,6 +247,8 @@ class LeaseBook:
             token: The token that came with the write; empty: none.
             use: What the write is for.
             now_s: Now.
+            holds_stop: Whether the drive shows the stop that this use needs while it is latched;
+                asked only then.
         """
         self.advance(now_s)
         control = self._drives.get(drive)
@@ -247,14 +260,14 @@ class LeaseBook:
             return None if is_free else self._needed(drive, control, now_s)
         if lease is None or not is_same_token(token, lease.token):  # also where none is needed
             return self._lost(drive, control, now_s)
-        if control.latch is not None and use is Use.MOTION:
-            return OperationError(
-                f"{drive} is latched: {why_latched(control)}",
-                kind="latched",
-                drive=drive,
-                remedy=f"enable it with the lease (POST /v1/drives/{drive}/verbs/enable)",
-            )
-        return None
+        if control.latch is None or use in (Use.SETTING, Use.ENABLE) or holds_stop(use):
+            return None
+        text = f"{drive} is latched: {why_latched(control)}"
+        remedy = f"enable it with the lease (POST /v1/drives/{drive}/verbs/enable)"
+        if use in NEEDED_STOPS:
+            text += f", and it does not show {NEEDED_STOPS[use]} of the line"
+            remedy += f"; or have it show {NEEDED_STOPS[use]} first (POST /v1/stop)"
+        return OperationError(text, kind="latched", drive=drive, remedy=remedy)
 
     def _needed(self, drive: str, control: DriveControl, now_s: float) -> OperationError:
         if control.lease is not None:

@@ -23,9 +23,13 @@ class Use(StrEnum):
     """What a write is for; a latched drive takes only some."""
 
     SETTING = "setting"
-    """A described parameter that is no setpoint and no control word."""
+    """A described parameter that is none of the others."""
+    SETPOINT = "setpoint"
+    """A code that holds a speed setpoint and nothing else."""
+    TAKE_CONTROL = "take-control"
+    """A setting that says who controls the drive, with a value that gives control to the line."""
     MOTION = "motion"
-    """A setpoint, a control word, or a code that no description knows."""
+    """A control word, a code that no description knows, or any other that can move the drive."""
     ENABLE = "enable"
     """A step of the verbs `enable` and `reset-fault`."""
 

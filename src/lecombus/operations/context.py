@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import secrets
 from collections.abc import Callable, Mapping, Sequence
 from decimal import Decimal
 from typing import Final
 
+import anyio
+
 from lecombus.config import DriveEntry, GroupEntry
 from lecombus.drive_state.control_word import ControlWord
 from lecombus.drive_state.drive_runtime import Drive, LastingRecord
-from lecombus.drive_state.readings import DriveState
+from lecombus.drive_state.readings import DriveState, Quality
 from lecombus.drive_state.store import Store
-from lecombus.drives import asks_to_stop, encode_for
-from lecombus.errors import CodeValueError, OperationError, meant
+from lecombus.drives import StopAction, asks_to_stop, encode_for
+from lecombus.drives.verb_facts import Known
+from lecombus.drives.verbs import held_stop_codes, held_stops
+from lecombus.errors import (
+    CodeValueError,
+    ExchangeError,
+    LineError,
+    OperationError,
+    ScheduleError,
+    meant,
+)
 from lecombus.fieldbus.requests import Station
 from lecombus.line_events import LineRequests
 from lecombus.operations.awaited_requests import Requests
@@ -28,6 +40,9 @@ from lecombus.saved_state import State
 from lecombus.schedule.request import STOPPED
 
 __all__ = ["OperationContext"]
+
+SHOWN_WITHIN_S: Final = 2.0
+"""So long before a write that depends on it a drive must have shown its stop, seconds."""
 
 MARK: Final = re.compile(r"(?P<run>[0-9a-f]{8})-(?P<drive>[a-z0-9_-]+)-[0-9]{1,15}")
 """A mark of stops, as `OperationContext.stop_mark` makes it."""
@@ -82,6 +97,7 @@ class OperationContext:
         self.permissions = Permissions(requests, store, self.leases)
         self.diagnosis = NakDiagnosis(requests, store, clock)
         self.why = StandstillDiagnosis(requests, store, clock)
+        self.leases.held_stops = self.held_stops
         self._run = secrets.token_hex(4)
 
     def set_roster(self, entries: Sequence[DriveEntry], groups: Mapping[str, GroupEntry]) -> None:
@@ -198,6 +214,50 @@ class OperationContext:
         """Return how little a drive answers: 0 online, 1 not known yet, 2 offline."""
         state = self.store.state(station.name)
         return 2 if state is DriveState.OFFLINE else int(state is not DriveState.ONLINE)
+
+    async def see_stops(self, drives: Sequence[str], code: Code) -> None:
+        """Have latched drives show their stops, where a write depends on them (`held_stops`).
+
+        Args:
+            drives: The drives that are to be written to.
+            code: What is to be written; only a setpoint or a setting of control depends on a stop.
+        """
+        found = [
+            drive.station
+            for name in drives
+            if (drive := self.requests.drives.find(name)) is not None
+            and (info := drive.family.info(code)) is not None
+            and (info.motion or info.control_source)
+            and self.leases.needs_stop_shown(name)
+        ]
+        if not found:
+            return  # without a pause: what is asked for first is submitted first
+        async with anyio.create_task_group() as tasks:
+            for station in found:
+                tasks.start_soon(self._see_stops, station)
+
+    async def _see_stops(self, station: Station) -> None:
+        # What cannot be read is not shown: the write is refused then, with the reason.
+        with contextlib.suppress(ExchangeError, LineError, OperationError, ScheduleError):
+            await self.requests.read_known(station, held_stop_codes(station.family))
+
+    def held_stops(self, drive: str) -> frozenset[StopAction]:
+        """Return the stops of the line that a drive has shown within `SHOWN_WITHIN_S`.
+
+        None while a verb is under way that may let it run: what it has written may not be known
+        yet.
+        """
+        found = self.requests.drives.find(drive)
+        if found is None or self.lasting(drive).verb is not None:
+            return frozenset()
+        family, values = found.family, {}
+        for code in held_stop_codes(family):
+            one = self.store.reading(drive, code)
+            if one is None or one.value is None or self.store.is_outdated(drive, code):
+                continue
+            if one.quality is Quality.GOOD and (one.age_s or 0.0) <= SHOWN_WITHIN_S:
+                values[code] = one.value
+        return held_stops(Known(drive, family, values), found.control_word.said)
 
     def note_write(self, station: Station, code: Code, wire: Value) -> None:
         """Count a plain write that means to stop a drive, or may lift its inhibit.

@@ -85,12 +85,14 @@ class GroupWrites:
             QueueFullError: Too many requests wait; nothing was sent to any member.
         """
         expires_at_s = None if expires_s is None else self._context.clock() + expires_s
+        members = self._context.group(group).members
+        marks = {name: self._context.stop_mark(name) for name in members}
+        await self._context.see_stops(members, code)
         stations, wires = self._permitted_all(group, code, value)
         if not all(asks_to_stop(one.family, code, wire)
                    for one, wire in zip(stations, wires, strict=True)):  # fmt: skip
             refuse_for_gone_client(group)
         there: Sequence[WriteReport | None] = [None] * len(stations)
-        marks = {one.name: self._context.stop_mark(one.name) for one in stations}
         if any(wears(one.family, code) for one in stations):
             there = await self._already_there(
                 stations, code, wires, verify=bool(verify), within_s=expires_s

@@ -20,8 +20,9 @@ from lecombus.config import DriveEntry
 from lecombus.drive_state.readings import seconds
 from lecombus.drives import Family, StopAction, family, knows_stop
 from lecombus.drives.stops import stops_every_drive
+from lecombus.drives.verbs import takes_control
 from lecombus.errors import OperationError
-from lecombus.leases import HeldLease, LeaseBook, LeaseTerms, Use
+from lecombus.leases import NEEDED_STOPS, HeldLease, LeaseBook, LeaseTerms, Use
 from lecombus.operations.actions import ACTOR
 from lecombus.parameters import Code, Json, Value
 from lecombus.saved_state import State
@@ -58,6 +59,7 @@ class Leases:
         book: Who controls what.
         changed: Called when the next lapse may come at another time, or a drive was enabled.
         followers: Told what becomes of leases and their drives.
+        held_stops: Gives the stops of the line that a drive has shown just now.
     """
 
     def __init__(self, state: State, clock: Callable[[], float], wall: Callable[[], float]) -> None:
@@ -67,6 +69,7 @@ class Leases:
         self.book = LeaseBook(max(state.lease_number + LEAP, int(1000 * wall())))
         self.changed: Callable[[], None] = lambda: None
         self.followers: tuple[LeaseFollower, ...] = ()
+        self.held_stops: Callable[[str], frozenset[StopAction]] = lambda drive: frozenset()
         self._entries: Mapping[str, DriveEntry] = {}
 
     def set_roster(self, entries: Sequence[DriveEntry]) -> None:
@@ -136,19 +139,34 @@ class Leases:
         Raises:
             OperationError: `lease-required`, `lease-lost` or `latched`.
         """
-        problem = self.book.objection(drive, LEASE.get(), use, self._clock())
+        problem = self._objection(drive, LEASE.get(), use)
         if problem is not None:
             raise problem
 
-    def ended_check(self, drives: Sequence[str], use: Use) -> Callable[[], bool]:
-        """Give what says directly before a telegram that it may not be sent any more."""
-        token, book, clock = LEASE.get(), self.book, self._clock
+    def ended_check(self, uses: Mapping[str, Use]) -> Callable[[], bool]:
+        """Give what says directly before a telegram that it may not be sent any more.
+
+        Args:
+            uses: By drive that the telegram reaches: what the write is for.
+        """
+        token = LEASE.get()
 
         def has_ended() -> bool:
-            now_s = clock()
-            return any(book.objection(one, token, use, now_s) is not None for one in drives)
+            return any(self._objection(one, token, use) is not None for one, use in uses.items())
 
         return has_ended
+
+    def _objection(self, drive: str, token: str, use: Use) -> OperationError | None:
+        def holds_stop(use: Use) -> bool:
+            held = self.held_stops(drive) if use in NEEDED_STOPS else frozenset()
+            return StopAction.INHIBIT in held if use is Use.TAKE_CONTROL else bool(held)
+
+        return self.book.objection(drive, token, use, self._clock(), holds_stop)
+
+    def needs_stop_shown(self, drive: str) -> bool:
+        """Whether a setpoint that comes with this token depends on a stop that the drive shows."""
+        found = self.book.objection(drive, LEASE.get(), Use.SETPOINT, self._clock())
+        return found is not None and found.kind == "latched"
 
     # -- what is shown ----------------------------------------------------------------------------
 
@@ -208,10 +226,22 @@ class Leases:
             follower(what, drives, fields)
 
 
-def use_of(of: Family, code: Code) -> Use:
-    """Say what a write of a code is for; what no description knows may be a setpoint."""
+def use_of(of: Family, code: Code, wire: Value, *, restoring: bool = False) -> Use:
+    """Say what a write is for; what no description knows may move the drive.
+
+    Args:
+        of: The drive's family.
+        code: What is written.
+        wire: The value.
+        restoring: It belongs to the restore of a backup, which holds settings only.
+    """
     info = of.info(code)
-    return Use.SETTING if info is not None and not info.motion else Use.MOTION
+    if info is not None and info.control_source:
+        return Use.TAKE_CONTROL if takes_control(of, code, wire) else Use.MOTION
+    if restoring or (info is not None and not info.motion):
+        return Use.SETTING
+    setpoints = of.verbs.setpoints if of.verbs is not None else ()
+    return Use.SETPOINT if any(rule.code == code for rule in setpoints) else Use.MOTION
 
 
 def needs_lease(of: Family, code: Code, wire: Value) -> bool:

@@ -103,8 +103,8 @@ class Permissions:
                 remedy=remedy,
             ) from exc
         if needs_lease(station.family, code, wire):
-            as_setting = Use.SETTING if restoring else None
-            self.leases.check(drive, use or as_setting or use_of(station.family, code))
+            as_asked = use or use_of(station.family, code, wire, restoring=restoring)
+            self.leases.check(drive, as_asked)
         return wire
 
     def lease_check(
@@ -123,12 +123,12 @@ class Permissions:
             use: What it is for; None: by the code.
         """
         both = zip(stations, wires, strict=True)
-        found = [one for one, wire in both if needs_lease(one.family, code, wire)]
+        found = [(one, wire) for one, wire in both if needs_lease(one.family, code, wire)]
         if not found:
             return None
-        uses = {use or use_of(one.family, code) for one in found}
-        of = Use.MOTION if Use.MOTION in uses else uses.pop()
-        return self.leases.ended_check([one.name for one in found], of)
+        return self.leases.ended_check(
+            {one.name: use or use_of(one.family, code, wire) for one, wire in found}
+        )
 
     def restore_rights(self, drive: str) -> RestoreRights:
         """Say whether a backup may be restored into a drive.

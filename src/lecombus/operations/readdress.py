@@ -154,7 +154,7 @@ class Readdress:
                 )
                 outcome, reason = await self._requests.write(
                     station, code, Value.decimal(address), verify=False,
-                    lease_ended=self._leases.ended_check([drive], Use.SETTING),
+                    lease_ended=self._leases.ended_check({drive: Use.SETTING}),
                 )  # fmt: skip
                 if outcome is Outcome.SUPERSEDED:
                     return stopped_first(drive, code)

@@ -35,6 +35,7 @@ from lecombus.drives.verbs import (
     stop_words,
 )
 from lecombus.errors import OperationError
+from lecombus.leases import Use
 from lecombus.operations.awaited_requests import refuse_for_gone_client
 from lecombus.operations.context import OperationContext
 from lecombus.operations.operation_reports import VerbReport, WriteReport
@@ -99,7 +100,8 @@ class Verbs:
             return await self._stop_verb(drive, verb)
         rules_of(drive, station.family, verb)
         refuse_for_gone_client(drive)
-        self._context.leases.check(drive, USES[verb])
+        # Whether a latched drive takes a speed is looked at when it is written.
+        self._context.leases.check(drive, Use.SETTING if verb is Verb.SET_SPEED else USES[verb])
         self._context.permissions.check_ready(drive)
         expires_at_s = None if expires_s is None else self._context.clock() + expires_s
         run = Run(

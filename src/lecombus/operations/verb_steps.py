@@ -68,9 +68,10 @@ WORD_TRIES = 5
 """How often a control word is read again that other clients keep writing."""
 
 USES: Final[Mapping[Verb, Use]] = {
-    Verb.ENABLE: Use.ENABLE, Verb.RESET_FAULT: Use.ENABLE, Verb.SET_SPEED: Use.MOTION,
+    Verb.ENABLE: Use.ENABLE, Verb.RESET_FAULT: Use.ENABLE, Verb.SET_SPEED: Use.SETPOINT,
 }  # fmt: skip
-"""What the writes of a verb are for: a drive that is latched can be reset, and enabled."""
+"""What the writes of a verb are for: a drive that is latched can be reset, and enabled, and given a
+speed while it shows that it is stopped."""
 
 
 Read = TypeVar("Read")
@@ -159,6 +160,10 @@ class VerbSteps:
 
     async def _write(self, run: Run, code: Code, raw: str) -> WriteReport:
         name = run.station.name
+        if USES[run.verb] is Use.SETPOINT:
+            await self._context.see_stops((name,), code)
+            if self.stopped_meanwhile(run):
+                return superseded(run)
         wire = self._context.permissions.permitted(name, run.station, code, raw, use=USES[run.verb])
         ending = self._writes.submit_write(
             run.station, code, wire, run.expires_at_s, verify=run.verify,

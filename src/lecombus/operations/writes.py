@@ -18,6 +18,7 @@ from lecombus.fieldbus.requests import Station, WriteWork
 from lecombus.leases import Use
 from lecombus.operations.awaited_requests import Ending, client_check, refuse_for_gone_client
 from lecombus.operations.context import OperationContext
+from lecombus.operations.lease_operations import use_of
 from lecombus.operations.operation_reports import (
     CUT_REMEDY,
     READ_REMEDY,
@@ -75,12 +76,14 @@ class Writes:
             QueueFullError: Too many requests wait; nothing was sent.
         """
         station = self._context.station(drive)
+        expires_at_s = None if expires_s is None else self._context.clock() + expires_s
+        mark = self._context.stop_mark(drive)
+        await self._context.see_stops((drive,), code)
         wire = self._context.permissions.permitted(drive, station, code, value, restoring=restoring)
         if not asks_to_stop(station.family, code, wire):
             refuse_for_gone_client(drive)
-        expires_at_s = None if expires_s is None else self._context.clock() + expires_s
-        mark = self._context.stop_mark(drive)
-        outdated = STOPPED if self._context.requests.stopped_since_asked(drive) else ""
+        stopped = self._context.requests.stopped_since_asked(drive)
+        outdated = STOPPED if stopped or self._context.is_outdated(drive, mark) else ""
         if unless_stopped_since is not None:
             outdated = self._context.why_outdated(drive, unless_stopped_since) or outdated
         if outdated:
@@ -102,7 +105,7 @@ class Writes:
         self._context.note_write(station, code, wire)
         ending = self.submit_write(
             station, code, wire, expires_at_s, verify=verify, urgency=urgency,
-            use=Use.SETTING if restoring else None,
+            use=use_of(station.family, code, wire, restoring=restoring),
         )  # fmt: skip
         report = self.report(drive, code, ending, *await ending.wait())
         return await self._context.diagnosis.explain(report, station, wire)

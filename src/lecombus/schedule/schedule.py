@@ -85,6 +85,7 @@ class Schedule(DriveTable):
             self._waiting, self._watchdogs, self._polling, self._probes, self._shares
         )
         self._speaking_to: str | None = None
+        self._reaching: tuple[str, ...] = ()  # by the telegram under way, if it is a multicast
         self._by_manual_from_s = -math.inf
         self._more = False  # the last choice stopped early: there is more to do immediately
 
@@ -151,7 +152,8 @@ class Schedule(DriveTable):
         """Whether an exchange with a drive is under way, or a stop of it waits."""
         waiting = self._waiting.listed(drive=drive, stops=True)
         stops = any(one.priority is Priority.STOP for one in waiting)
-        return stops or self._speaking_to == drive
+        under_way = self._speaking_to is not None and drive in self._reaching
+        return stops or under_way or self._speaking_to == drive
 
     def join(self, stop: Request) -> bool:
         """Let a stop that was not yet sent stand for a new one like it; return whether it can."""
@@ -358,7 +360,7 @@ class Schedule(DriveTable):
                 self._probes.take(source, now_s)
         request.state = UNDER_WAY
         request.fed_first = 0
-        self._speaking_to = request.drive
+        self._speaking_to, self._reaching = request.drive, request.members
         drive = self._drives.get(request.drive)
         if drive is not None and drive.kept:
             drive.kept.pop(request.priority, None)
