@@ -178,9 +178,10 @@ def test_a_drive_is_spoken_to_while_its_stop_waits_and_while_it_is_under_way() -
     assert not world.schedule.is_speaking_to("b"), "what is no stop may wait until it expires"
 
 
-def test_the_members_of_a_group_are_spoken_to_while_its_stop_is_under_way() -> None:
+def test_the_members_of_a_group_are_spoken_to_while_its_stop_waits_or_is_under_way() -> None:
     world = World().drives("a", "b", "c")
     stop = world.submit("all", P.STOP, members=("a", "b"))
+    assert list(map(world.schedule.is_speaking_to, "abc")) == [True, True, False], "it waits"
     during: list[bool] = []
     world.at(0.001, lambda: during.extend(map(world.schedule.is_speaking_to, "abc")))
     assert world.step() is stop

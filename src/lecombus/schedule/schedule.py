@@ -150,8 +150,10 @@ class Schedule(DriveTable):
 
     def is_speaking_to(self, drive: str) -> bool:
         """Whether an exchange with a drive is under way, or a stop of it waits."""
-        waiting = self._waiting.listed(drive=drive, stops=True)
-        stops = any(one.priority is Priority.STOP for one in waiting)
+        stops = any(
+            one.priority is Priority.STOP and (one.drive == drive or drive in one.members)
+            for one in self._waiting.listed(stops=True)
+        )
         under_way = self._speaking_to is not None and drive in self._reaching
         return stops or under_way or self._speaking_to == drive
 
