@@ -10,6 +10,7 @@ import sys
 from lecombus.leases.lease_book import LeaseBook
 from lecombus.schedule.request import Request
 from lecombus.schedule.waiting import Waiting
+from lecombus.schedule.watchdog_set import WatchdogSet
 from lecombus.supervision.health import Health
 from lecombus.supervision.lease_watch import LeaseWatch
 from proof.mutants import Mutant
@@ -160,6 +161,14 @@ LEASE_MUTANTS: dict[str, Mutant] = {
         "self.yields(request)",
         "request.drive in self.silent",
         (9, 15),
+        leased=True,
+    ),
+    "its own drive's watchdog is left out of the check of a long exchange": Mutant(
+        WatchdogSet,
+        "_own_beside",
+        "if own is None or not own.active or request.members:",
+        "if True:",
+        (49, 164),
         leased=True,
     ),
 }

@@ -34,8 +34,7 @@ class Watchdogs:
     def __init__(
         self, line: RandomLine, plan: Promises, sim: SimLine, say: Callable[[str], None]
     ) -> None:
-        # Silenced drives leave others room for exchanges that their own watchdogs do not outlast.
-        self._judged = line.kind != "faulty" and not (line.leased and line.kind == "tolerant")
+        self._judged = line.kind != "faulty"
         self._excuses = line.kind != "tolerant"
         self._round_s = plan.silent_stop.quiet_s
         self._say = say

@@ -10,7 +10,7 @@ from random import Random
 
 import pytest
 
-from lecombus.schedule import Outcome, Priority, Request
+from lecombus.schedule import Outcome, Priority, Request, Schedule
 from lecombus.schedule.watchdog_deadline import (
     HARD_PART,
     FaultHypothesis,
@@ -399,11 +399,67 @@ def test_thousands_that_never_fit_do_not_block_the_line() -> None:
     assert len(world.ended) == 1000
 
 
-def test_the_drive_itself_may_take_longer_than_its_own_watchdog_allows() -> None:
+def test_what_is_answered_soon_may_take_longer_in_vain_than_its_own_watchdog_allows() -> None:
     world = World().drives("a")
     world.feed("a", 1.0)
     slow = world.submit("a", P.CONTROL, worst_s=2.0)
     assert world.step() is slow
+
+
+@pytest.mark.parametrize("others", ["none", "parked", "unwatched"])
+@pytest.mark.parametrize("tolerate", [0, 1, 3])
+def test_what_its_own_drives_watchdog_does_not_outlast_is_refused_with_figures(
+    tolerate: int, others: str
+) -> None:
+    """A module's own codes take half a second, and nothing feeds their drive in that time."""
+    world = World().drives(*("a" if others == "none" else "ab"))
+    world.schedule.expect(FaultHypothesis(tolerate))
+    world.feed("a", 0.5)
+    if others == "parked":
+        world.feed("b", 0.5)
+        world.schedule.park("b", 0.0, "it is silent")
+    slow = [world.submit("a", one, cost_s=0.43, worst_s=0.53) for one in CLASSES]
+    world.run(10.0)
+    for request in slow:
+        outcome, reason = world.outcome(request)
+        assert outcome is Outcome.REFUSED
+        for figure in ("0.530 s", "0.410 s", "drive a", "0.5 s"):
+            assert figure in reason
+    assert {one.request.priority for one in world.sent} == {P.WATCHDOG}
+    assert world.schedule.stats(10.0).feeds["a"].lapses == 0
+
+
+CLASSES = (P.CONTROL, P.INTERACTIVE, P.BACKGROUND)
+
+
+@pytest.mark.parametrize("lost", ["nothing", "its answer", "the feed behind it"])
+@pytest.mark.parametrize("tolerate", [0, 1, 2, 3])
+@pytest.mark.parametrize("priority", CLASSES)
+def test_what_its_own_drives_watchdog_outlasts_goes_directly_behind_a_feed(
+    priority: Priority, tolerate: int, lost: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whenever it is asked for; also if an answer is lost."""
+    for number in range(40):
+        world = World().drives("a")
+        world.schedule.expect(FaultHypothesis(tolerate))
+        world.feed("a", 0.7)
+        world.run(2.0 + number * 0.013)
+        slow = world.submit("a", priority, cost_s=0.43, worst_s=0.53)
+
+        def chosen(now_s: float, world: World = world, slow: Request = slow) -> Request | None:
+            request = Schedule.next(world.schedule, now_s)
+            behind = bool(world.sent) and world.sent[-1].request is slow
+            if lost != "nothing" and (behind if lost != "its answer" else request is slow):
+                world.silent.add("a")
+            else:
+                world.silent.clear()
+            return request
+
+        monkeypatch.setattr(world.schedule, "next", chosen)
+        world.run(world.now_s + 3.0)
+        assert world.outcome(slow)[0] is (Outcome.UNKNOWN if lost == "its answer" else Outcome.DONE)
+        if tolerate or lost != "the feed behind it":
+            assert world.schedule.stats(world.now_s).feeds["a"].lapses == 0
 
 
 def test_a_cyclic_slot_that_never_fits_is_dropped_and_counted() -> None:

@@ -135,9 +135,9 @@ class WatchdogArbiter:
             return False
         if request.unfed_s <= feed.worst_s and request.cost_s <= feed.cost_s:
             return True
-        if not feed.outlasts(now_s, request.unfed_s):
-            return False
         feeds = self._watchdogs
+        if not (feed.outlasts(now_s, request.unfed_s) and feeds.own_holds(request, now_s)):
+            return False
         return feeds.fits(now_s, feeds.need_s(request), feed.drive)
 
 

@@ -268,7 +268,7 @@ class Schedule(DriveTable):
             request.fed_first += 1
             return to_feed(self._watchdog_arbiter.plain(own))
         need_s = feeds.need_s(request)
-        fits = feeds.fits(now_s, need_s, request.drive)
+        fits = feeds.fits(now_s, need_s, request.drive) and feeds.own_holds(request, now_s)
         late = feeds.late(now_s)
         count = 1 if late is not None and late.drive == request.drive else len(feeds.by_drive)
         if late is not None and request.fed_first < FEEDS_FIRST * count:
@@ -292,7 +292,7 @@ class Schedule(DriveTable):
             return None
         if request.rooms < ROOMS_PER_FEED * len(feeds.by_drive):
             need_s = feeds.need_s(request)
-            feed = feeds.room(now_s, need_s, request.drive)
+            feed = feeds.room(now_s, need_s, request.drive) or feeds.own_room(request, now_s)
             if feed is not None:
                 request.rooms += 1
                 own = feeds.own_before(now_s, feed, request.drive)
@@ -317,7 +317,7 @@ class Schedule(DriveTable):
         feeds.count_by(manual=True)
         try:
             need_s = feeds.need_s(request)
-            if not feeds.fits(now_s, need_s, request.drive):
+            if not (feeds.fits(now_s, need_s, request.drive) and feeds.own_holds(request, now_s)):
                 return self._make_room(request, now_s)
         finally:
             feeds.count_by(manual=False)

@@ -14,6 +14,11 @@ for the fed drive, the sum at its new place equals the old sum of the feed befor
 deadline is later than that one's. An L once computed thus stays a safe bound, and the usual check
 is one comparison; it is computed again, O(n log n), only when the bound is reached.
 
+An exchange feeds its own drive from its start, and its lost answer does not, so that drive's bound
+does not count; its feed goes first where it would be late. But one that takes longer, answered, than
+the drive's feed does in vain (a module's own codes) must fit into the drive's own time as well: it
+goes directly behind a feed, and what never fits is refused (`own_holds`).
+
 The spare. Costs are those of answered exchanges, and a lost answer holds the line for longer. So
 feeding begins while L is still further away than three failed attempts, though never further than
 half of what it is at best, so that short watchdogs do not take the whole line (`spare_s`), but in
@@ -253,8 +258,64 @@ class WatchdogSet:
         behind_s = max(self.faults.tolerate * own.worst_s, behind_s)
         return own if now_s + other.cost_s + behind_s + own.cost_s > own.hard_s else None
 
+    def own_holds(self, request: Request, now_s: float) -> bool:
+        """Return whether the own watchdog of a drive outlasts a long exchange begun now.
+
+        One whose time has run out has acted, or the drive is not there.
+        """
+        own = self._own_beside(request)
+        if own is None or now_s > own.fed_at_s + own.time_s:
+            return True
+        return now_s + self.own_need_s(request, own) + own.cost_s <= own.hard_s + ROUNDING_S
+
+    def own_room(self, request: Request, now_s: float) -> WatchdogDeadline | None:
+        """Choose the feed to run first so that a long exchange fits into its own drive's time."""
+        own = self._own_beside(request)
+        if own is None or self.own_holds(request, now_s):
+            return None
+        return _room(self._in_order(now_s), now_s, self.own_need_s(request, own), "")
+
+    def _own_beside(self, request: Request) -> WatchdogDeadline | None:
+        """Find the own feed of a drive if an exchange takes longer, answered, than it does in vain.
+
+        A module's own codes take half a second: that exchange feeds the drive only when it begins,
+        and the next feed comes behind it. For all others it is enough that the feed goes first.
+        """
+        own = self.by_drive.get(request.drive)
+        if own is None or not own.active or request.members:
+            return None
+        return own if by_manual(request)[0] > own.worst_s else None
+
+    def own_need_s(self, request: Request, own: WatchdogDeadline) -> float:
+        """Return how much of its own drive's time a long exchange takes, seconds; as `need_s`."""
+        cost_s, worst_s = by_manual(request)
+        need_s = self.faults.need_s(cost_s, worst_s, *self._losses())
+        return max(min(need_s, self._most_of_all_s()), self._own_least_s(request, own)) - ROUNDING_S
+
+    def _own_least_s(self, request: Request, own: WatchdogDeadline) -> float:
+        """Return how much of its own drive's time it takes at least, behind a feed of that drive.
+
+        Its answer is lost, or, if answers may be lost, that of the feed behind it.
+        """
+        cost_s, worst_s = by_manual(request)
+        lost_s = own.worst_s - own.cost_s if self.faults.tolerate else 0.0
+        return max(worst_s, cost_s + lost_s)
+
+    def _most_of_all_s(self) -> float:
+        """Return the most slack that there ever is, all feeds counted, seconds."""
+        if "" not in self._most:
+            self._most[""] = self.most_s("")[0]
+        return self._most[""]
+
     def never(self, request: Request) -> str:
         """Return why an exchange with a drive can never run, if it cannot; else an empty text."""
+        own = self._own_beside(request)
+        if own is not None and self._own_least_s(request, own) > self._most_of_all_s() + ROUNDING_S:
+            most_s, whose = self.most_s("")
+            return _never_fits(
+                f"take {self._own_least_s(request, own):.3f} s, in which nothing feeds its drive",
+                most_s, self.by_drive[whose],
+            )  # fmt: skip
         most_s, whose = self.most_s(request.drive)
         if request.worst_s > most_s:
             takes = f"hold the line for {request.worst_s:.3f} s"
@@ -262,11 +323,7 @@ class WatchdogSet:
             takes = f"keep feeds waiting for {need_s:.3f} s with a stop behind it and a lost answer"
         else:
             return ""
-        return (
-            f"it may {takes}, and {most_s:.3f} s is the most that "
-            f"keeping the watchdogs leaves at any time (drive {whose}, watchdog "
-            f"{self.by_drive[whose].time_s:g} s)"
-        )
+        return _never_fits(takes, most_s, self.by_drive[whose])
 
     def spare_s(self) -> float:
         """Return how much slack is kept for attempts that fail, and for stops, seconds."""
@@ -439,6 +496,19 @@ class WatchdogSet:
             if feed.drive != drive and hard_s - total_s - clock_s < most_s:
                 most_s, whose = hard_s - total_s - clock_s, feed.drive
         return most_s, whose
+
+
+def by_manual(request: Request) -> tuple[float, float]:
+    """Give what an exchange takes, answered and not, by manual and roster alone, seconds."""
+    cost_s, worst_s = request.documented or (request.cost_s, request.worst_s)
+    return cost_s, worst_s + request.hold_s
+
+
+def _never_fits(takes: str, most_s: float, feed: WatchdogDeadline) -> str:
+    return (
+        f"it may {takes}, and {most_s:.3f} s is the most that keeping the watchdogs leaves at any "
+        f"time (drive {feed.drive}, watchdog {feed.time_s:g} s)"
+    )
 
 
 def _room(
