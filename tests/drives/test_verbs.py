@@ -94,8 +94,12 @@ def test_enable_writes_only_what_keeps_the_drive_still(name: str) -> None:
     assert enable_steps(known(name)) == unseen
     quick_stopped = known(name, "H0008")
     assert enable_steps(quick_stopped) == (release,)
+    # Only a change may lift it: it is set first, unless the motor may turn.
+    changed = (BitsStep(WORD, set_mask=0x0008), release) if name in UNSEEN else ()
+    at_zero = "H0040" if name in ("820x", "smvector") else "H0640"
+    assert enable_steps(known(name, "H0000", at_zero)) == changed
     inhibited = known(name, "H0000", "H0080")
-    assert enable_steps(inhibited) == (*unseen, WriteStep(ENABLE, Value.decimal(1)))
+    assert enable_steps(inhibited) == (*changed, WriteStep(ENABLE, Value.decimal(1)))
 
 
 @pytest.mark.parametrize("name", [one for one in DESCRIBED if one not in UNSEEN])

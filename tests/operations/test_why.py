@@ -529,6 +529,35 @@ def test_a_quick_stop_of_the_watchdog_that_no_word_shows_is_a_hint_until_an_enab
     with_plant(main, roster_text(chosen, watchdog=watchdog), word_as_written=True)
 
 
+@pytest.mark.parametrize(("drive", "unseen"), [("vector", True), ("servo", True), ("belt", False)])
+def test_after_a_restart_a_drive_is_not_called_enabled_before_a_word_shows_it(
+    drive: str, unseen: bool
+) -> None:
+    """Its watchdog may have acted while lecombus did not run; it has, here."""
+    chosen = [one for one in FAMILIES if one[0] == drive]
+    text = roster_text(chosen, watchdog="{time: 2s, action: quick-stop, configure: true}")
+
+    async def main(before: Plant) -> None:
+        await before.online(within_s=60.0)
+        assert (await enable(before, drive)).outcome is Outcome.VERIFIED
+        assert before.site.store.motion(drive).doing is Doing.ENABLED
+        before.end.unplug()
+        await anyio.sleep(4.0)
+        async with Plant(text, line=before.line) as plant:
+            await plant.online(within_s=60.0)
+            assert plant.line[drive].watchdog_fired == 1
+            motion = plant.site.store.motion
+            assert motion(drive).doing is not Doing.ENABLED
+            await anyio.sleep(12.0)
+            assert motion(drive).doing is (Doing.UNKNOWN if unseen else Doing.STOPPED)
+            if unseen:
+                assert [one.text for one in motion(drive).stops] == ["its watchdog may have acted"]
+            assert (await enable(plant, drive)).outcome is Outcome.VERIFIED
+            assert motion(drive).doing is Doing.ENABLED
+
+    with_plant(main, text, word_as_written=True)
+
+
 @pytest.mark.parametrize("how", ["stop", "verb", "write"])
 def test_after_a_later_stop_the_enable_that_was_taken_back_no_longer_leads(how: str) -> None:
     async def test(plant: Plant) -> None:

@@ -310,6 +310,7 @@ class Plant:
         also: Drives on the line that the roster does not name.
         state: What was kept from before.
         word_as_written: C0135 of its drives reads what was last written to it.
+        only_changes: Of such drives, only a change of bit 3 lifts a quick stop.
         line: Simulated drives instead of those of the roster.
         latency_s: What the adapter adds, seconds; bytes then come in pieces.
 
@@ -329,6 +330,7 @@ class Plant:
         spread: float = 0.0,
         state: State | None = None,
         word_as_written: bool = False,
+        only_changes: bool = False,
         line: SimLine | None = None,
         latency_s: float = 0.0,
     ) -> None:
@@ -336,7 +338,7 @@ class Plant:
         self.line = line or build(
             [*((one.name, one.address, one.family) for one in self.roster.drives), *also],
             baud=self.roster.line.baud, faults=faults, seed=seed, spread=spread,
-            word_as_written=word_as_written,
+            word_as_written=word_as_written, only_changes=only_changes,
         )  # fmt: skip
         self.end = TappedEnd(self.line, latency_s=latency_s)
         self.reports: list[ExchangeReport] = []

@@ -44,8 +44,9 @@ _ENDS = {signal.SIGINT, signal.SIGTERM}
 @click.option("--faults", default="", metavar="FAULTS",
               help="What goes wrong, such as late=0.05:0.5s,noise=0.05,absent=11+12.")  # fmt: skip
 @click.option("--control-word", default="state", show_default=True,
-              type=click.Choice(["state", "written"]),
-              help="C0135 reads with every inhibit in it, or as it was last written.")  # fmt: skip
+              type=click.Choice(["state", "written", "changes"]),
+              help="C0135 reads with every inhibit in it, or as it was last written; changes: the "
+              "same, and only a change of bit 3 lifts a quick stop.")  # fmt: skip
 @click.option("--fault-digit", default="lecom", show_default=True,
               type=click.Choice(["lecom", "p500", "none"]),
               help="C0068 of an SMVector: tens digit of which fault number.")  # fmt: skip
@@ -85,8 +86,7 @@ def simulate_command(
     _check_ends(roster, pty, tcp)
     assert roster is not None
     wanted = load_roster(roster)
-    line = _build(wanted, faults, seed, as_written=control_word == "written",
-                  digit_of=fault_digit)  # fmt: skip
+    line = _build(wanted, faults, seed, control_word=control_word, digit_of=fault_digit)
     # Blocked before the line's thread starts, so that only sigwait gets them.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDS)
     try:
@@ -133,7 +133,7 @@ def _serve_control(stack: ExitStack, path: Path, commands: Control, *, wanted: b
         click.echo(f"lecombus: {problem}", err=True)
 
 
-def _build(roster: Roster, faults: str, seed: int, *, as_written: bool, digit_of: str) -> SimLine:
+def _build(roster: Roster, faults: str, seed: int, *, control_word: str, digit_of: str) -> SimLine:
     drives = [(entry.name, entry.address, entry.family) for entry in roster.drives]
     parity = roster.line.parity == "line"
     try:
@@ -141,7 +141,8 @@ def _build(roster: Roster, faults: str, seed: int, *, as_written: bool, digit_of
         _check_absent(wanted.absent, roster)
         return build(
             drives, baud=roster.line.baud, faults=wanted, seed=seed, parity=parity,
-            word_as_written=as_written, digit_of=digit_of,
+            word_as_written=control_word == "written", only_changes=control_word == "changes",
+            digit_of=digit_of,
         )  # fmt: skip
     except ValueError as exc:
         raise CommandError(Exit.USAGE, str(exc)) from exc

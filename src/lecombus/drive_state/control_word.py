@@ -183,9 +183,12 @@ class ControlWord:
     # ---- what is known ------------------------------------------------------------------------
 
     def watchdog_may_have_acted(self, at_s: float) -> bool:
-        """Say whether the drive has been silent for its watchdog's time, up to a moment."""
+        """Say whether the drive has been silent for its watchdog's time, up to a moment.
+
+        It is not known how long one was silent that was not heard yet: before a restart, perhaps.
+        """
         watchdog_s, heard_at_s = self._watchdog_s, self._heard_at_s
-        return watchdog_s is not None and heard_at_s is not None and at_s - heard_at_s >= watchdog_s
+        return watchdog_s is not None and (heard_at_s is None or at_s - heard_at_s >= watchdog_s)
 
     def moves(self, code: Code) -> bool:
         """Say whether a write to a code changes bits of the control word."""

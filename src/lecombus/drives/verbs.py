@@ -137,7 +137,8 @@ def enable_steps(known: Known) -> tuple[VerbStep, ...]:
     Returns:
         The steps; none where every word shows that neither inhibit nor quick stop is there. Where
         no status word shows a quick stop, the control word is written in any case: the drive's
-        watchdog may have set one that a control word read back as written does not show.
+        watchdog may have set one that a control word read back as written does not show. Unless
+        the motor turns, its quick stop is set first then, as only a change may lift it.
 
     Raises:
         OperationError: `fault-active`, `setting`, `no-control-word`, `no-verb`.
@@ -161,10 +162,12 @@ def enable_steps(known: Known) -> tuple[VerbStep, ...]:
     if (quick_stopped or word & bits.quick_stop) and objection is not None:
         raise objected(known, objection)
     if objection is None:
-        if quick_stopped and not word & bits.quick_stop:
-            # Only a change may lift what did not come by this word: the watchdog's, for one.
-            steps.append(BitsStep(bits.code, set_mask=bits.quick_stop))
         unseen = not status_shows_quick_stop(known.configured)
+        may_be_stopped = quick_stopped or (unseen and (inhibited or _is_at_zero(known)))
+        if may_be_stopped and not word & bits.quick_stop:
+            # Only a change may lift what did not come by this word: the watchdog's, for one. A
+            # motor that turns is not stopped for that.
+            steps.append(BitsStep(bits.code, set_mask=bits.quick_stop))
         if quick_stopped or word & (bits.quick_stop | bits.inhibit) or unseen:
             mask = bits.quick_stop | bits.inhibit
             steps.append(BitsStep(bits.code, clear_mask=mask, always=unseen))
@@ -173,6 +176,17 @@ def enable_steps(known: Known) -> tuple[VerbStep, ...]:
     if steps:
         demand_met(known, rules, Access.ENABLE)
     return tuple(steps)
+
+
+def _is_at_zero(known: Known) -> bool:
+    """Return whether a status word reports that the motor does not turn, or output frequency 0."""
+    shown = {
+        state
+        for code, info in known.configured.words.items()
+        if (word := known.word(code)) is not None
+        for state in info.shown_states(word)
+    }
+    return bool(shown & {OperatingState.ZERO_SPEED, OperatingState.OUTPUT_FREQUENCY_0})
 
 
 def enable_objection(known: Known) -> OperationError | None:

@@ -14,10 +14,10 @@ for the fed drive, the sum at its new place equals the old sum of the feed befor
 deadline is later than that one's. An L once computed thus stays a safe bound, and the usual check
 is one comparison; it is computed again, O(n log n), only when the bound is reached.
 
-An exchange feeds its own drive from its start, and its lost answer does not, so that drive's bound
-does not count; its feed goes first where it would be late. But one that takes longer, answered, than
-the drive's feed does in vain (a module's own codes) must fit into the drive's own time as well: it
-goes directly behind a feed, and what never fits is refused (`own_holds`).
+An exchange feeds its own drive from its start, so that drive's bound does not count; its feed goes
+first where a lost answer would make it late. But one that takes longer, answered, than that feed
+does in vain (a module's own codes) must fit into its own drive's time as well: it goes directly
+behind a feed, and what never fits is refused (`own_holds`).
 
 The spare. Costs are those of answered exchanges, and a lost answer holds the line for longer. So
 feeding begins while L is still further away than three failed attempts, though never further than

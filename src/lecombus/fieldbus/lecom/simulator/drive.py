@@ -70,6 +70,7 @@ class SimDrive:
         silent_on_bad_write: Answer a bad write with nothing instead of NAK, as some devices do.
         log_size: How many requests `log` remembers; about 0.2 KB each.
         word_as_written: C0135 reads what was last written to it (see `Model`).
+        only_changes: Of such a drive, only a change of bit 3 lifts a quick stop (see `Model`).
         digit_of: Which number C0068 of an SMVector shows the tens digit of (see `SMVector`).
 
     Attributes:
@@ -91,6 +92,7 @@ class SimDrive:
         silent_on_bad_write: bool = False,
         log_size: int = 1_000,
         word_as_written: bool = False,
+        only_changes: bool = False,
         digit_of: str = "lecom",
     ) -> None:
         if not 1 <= address <= 99 or address % 10 == 0:
@@ -100,7 +102,8 @@ class SimDrive:
         self.name = name or f"drive-{address}"
         self.family = family
         self.model: Model = MODELS[family]()
-        self.model.word_as_written = word_as_written
+        self.model.word_as_written = word_as_written or only_changes
+        self.model.only_changes = only_changes
         self.model.digit_of = digit_of
         self.present = True
         self.log: deque[LogEntry] = deque(maxlen=log_size)
@@ -182,7 +185,8 @@ class SimDrive:
         drive = SimDrive(
             self.address, family or self.family, self.name, overrides,
             spread=self._spread, silent_on_bad_write=self._silent, log_size=self._log_size,
-            word_as_written=self.model.word_as_written, digit_of=self.model.digit_of,
+            word_as_written=self.model.word_as_written, only_changes=self.model.only_changes,
+            digit_of=self.model.digit_of,
         )  # fmt: skip
         drive.join(self.baud)
         return drive

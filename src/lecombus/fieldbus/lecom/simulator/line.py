@@ -452,6 +452,7 @@ def build(
     overrides: Mapping[str, Overrides] | None = None,
     log_size: int = 1_000,
     word_as_written: bool = False,
+    only_changes: bool = False,
     digit_of: str = "lecom",
 ) -> SimLine:
     """Build a line.
@@ -468,6 +469,7 @@ def build(
         overrides: Values to start with, by the drive's name (see `SimDrive`).
         log_size: How many requests each drive remembers.
         word_as_written: C0135 of the drives reads what was last written to it (see `SimDrive`).
+        only_changes: Of such drives, only a change of bit 3 lifts a quick stop (see `SimDrive`).
         digit_of: Which number C0068 of an SMVector shows the tens digit of (see `SMVector`).
 
     Raises:
@@ -484,6 +486,7 @@ def build(
                 spread=spread,
                 log_size=log_size,
                 word_as_written=word_as_written,
+                only_changes=only_changes,
                 digit_of=digit_of,
             )
             for name, address, family in drives

@@ -5,7 +5,8 @@ words mean and how long it thinks. Physical state is computed from time: `advanc
 and lets the watchdog expire exactly at its deadline, however late it is called. The control word is
 the one home of inhibit (bit 9) and quick stop (bit 3): C0040, C0135 and the watchdog change it.
 No manual says whether a read of C0135 shows all that, or only what was written to it last: the
-simulated drives do the one or the other (`word_as_written`).
+simulated drives do the one or the other (`word_as_written`). Nor whether bit 3 = 0 lifts a quick
+stop that the watchdog set where it was 0 before: of the latter some do not (`only_changes`).
 """
 
 from __future__ import annotations
@@ -73,6 +74,7 @@ class Model:
         deaf_until_s: Before this time the drive hears nothing (start-up, shortened response).
         word_as_written: C0135 reads what was last written to it; else it also shows an inhibit by
             C0040 = 0, and what the watchdog did.
+        only_changes: Of such a drive, only a change of bit 3 from 1 to 0 lifts a quick stop.
         digit_of: Which number C0068 of an SMVector shows the tens digit of (see `SMVector`).
     """
 
@@ -99,6 +101,7 @@ class Model:
         self.terminal_enable = True
         self.control = 0
         self.word_as_written = False
+        self.only_changes = False
         self.digit_of = "lecom"
         self._written_word = 0
         self.watchdog_fired = 0
@@ -288,8 +291,12 @@ class Model:
 
     def write_control_word(self, text: str) -> None:
         """Take a write of C0135, and keep it for drives that read it back as written."""
-        self._written_word = int(text[1:], 16)
+        before, word = self._written_word, int(text[1:], 16)
+        held = self.control & QSP and not before & QSP if self.only_changes else 0
+        self._written_word = word
         self.take_control_word(text)
+        if held:
+            self.control |= QSP
 
     def read_control_word(self) -> str:
         """Give C0135 as this kind of drive reads it back."""
