@@ -285,11 +285,33 @@ class ApiEntry(_Model):
 
 
 class MqttEntry(_Model):
-    """The message broker."""
+    """The message broker, and what the MQTT bridge does there.
+
+    Args:
+        host: The broker.
+        port: Its TCP port.
+        tls: Whether it is spoken to by TLS.
+        ca: File with the authorities of its certificate (PEM); None: the system's.
+        certificate: File with the bridge's certificate, then those between (PEM); None: none.
+        key: File with its private key.
+        username: Who the bridge is at the broker; None: nobody.
+        password_file: File with the password, on its first line.
+        topics: The first levels of all topics.
+        control: Whether commands other than stops are carried out.
+        home_assistant: The first levels of Home Assistant's discovery topics; None: no discovery.
+    """
 
     host: str
     port: int
     tls: bool = True
+    ca: str | None = None
+    certificate: str | None = None
+    key: str | None = None
+    username: str | None = None
+    password_file: str | None = None
+    topics: str = "lecombus"
+    control: bool = False
+    home_assistant: str | None = None
 
 
 class ModbusEntry(_Model):

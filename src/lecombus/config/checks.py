@@ -71,6 +71,7 @@ def check_roster(roster: Fields, protocol: str, mistakes: Mistakes) -> None:
     _check_access(roster, mistakes)
     _check_modbus(roster, mistakes)
     _check_notify(roster, mistakes)
+    _check_mqtt(roster, mistakes)
 
 
 def check_feasibility(entries: Fields, roster: Roster, mistakes: Mistakes) -> None:
@@ -302,6 +303,22 @@ def _check_mail(mail: Fields, mistakes: Mistakes) -> None:
         if "password_file" in mail.nodes and not is_loopback(mail.get("host", "")):
             what = "without TLS everybody on the way can read the password"
             mistakes.note(mail.place("security"), what, "`starttls` or `tls` would be right")
+
+
+def _check_mqtt(roster: Fields, mistakes: Mistakes) -> None:
+    """Note keys of the broker that do nothing without another one."""
+    mqtt = roster.get("mqtt")
+    if not isinstance(mqtt, Fields):
+        return
+    for key, other in (("certificate", "key"), ("key", "certificate"),
+                       ("password_file", "username")):  # fmt: skip
+        if key in mqtt.nodes and other not in mqtt.nodes:
+            mistakes.note(mqtt.place(key), f"`{key}` needs `{other}` too", f"give `{other}`")
+    if mqtt.get("tls", True) is False:
+        for key in ("ca", "certificate", "key"):
+            if key in mqtt.nodes:
+                what = f"`{key}` is for TLS, which `tls: false` switches off"
+                mistakes.note(mqtt.place(key), what, "remove one of them")
 
 
 WRITABLE = ("writable", "also_writable")

@@ -24,6 +24,7 @@ __all__ = [
     "MailAddress",
     "Network",
     "PortType",
+    "TopicPrefix",
 ]
 
 _SCHEMES: Final = ("socket", "sim")
@@ -227,4 +228,26 @@ class MailAddress(ScalarType):
     def _convert(self, text: str) -> str:
         if self._form.fullmatch(text) is None:
             raise WrongText("is no mail address", f"give {self.expects}")
+        return text
+
+
+class TopicPrefix(ScalarType):
+    """The first levels of MQTT topics: names with slashes between them."""
+
+    _FORM: Final = re.compile(r"[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)*", re.ASCII)
+    _LONGEST: Final = 64
+
+    def __init__(self) -> None:
+        schema = {
+            "type": "string", "pattern": "^[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)*$",
+            "maxLength": self._LONGEST,
+        }  # fmt: skip
+        super().__init__("the first levels of topics, such as plant/lecombus", schema)
+
+    def _convert(self, text: str) -> str:
+        if self._FORM.fullmatch(text) is None:
+            right = "use letters, digits, _ . - and a slash between two levels"
+            raise WrongText("is not usable in topics", right)
+        if len(text) > self._LONGEST:
+            raise WrongText(f"has {len(text)} characters", f"at most {self._LONGEST} are usable")
         return text

@@ -24,6 +24,7 @@ from lecombus.config.endpoint_types import (
     MailAddress,
     Network,
     PortType,
+    TopicPrefix,
 )
 from lecombus.config.mistakes import one_of
 from lecombus.config.number_types import (
@@ -213,7 +214,22 @@ _MQTT: Final = Table("mqtt", (
     Key("host", Host(), "The broker.", required=True),
     Key("port", Whole(1, 65535), "Absent: 8883 with TLS, 1883 without."),
     Key("tls", YesNo(), "Whether the broker is spoken to by TLS.", default=True),
-), "The message broker (not used by this version).")  # fmt: skip
+    Key("ca", AbsolutePath("/etc/lecombus/mqtt-ca.pem"),
+        "PEM file: the authorities of the broker's certificate. Absent: the system's."),
+    Key("certificate", AbsolutePath("/etc/lecombus/mqtt.pem"),
+        "PEM file: the bridge's certificate, for a broker that asks for one."),
+    Key("key", AbsolutePath("/etc/lecombus/mqtt.key"), "PEM file: its private key."),
+    Key("username", TextLine("a user name of the broker"),
+        "Who the bridge is at the broker. Absent: it gives no name."),
+    Key("password_file", AbsolutePath("/etc/lecombus/mqtt-password"),
+        "File with the password, alone on its first line."),
+    Key("topics", TopicPrefix(), "The first levels of all topics.", default="lecombus"),
+    Key("control", YesNo(),
+        "Whether commands other than stops are carried out.", default=False),
+    Key("home_assistant", TopicPrefix(),
+        "The first levels of Home Assistant's discovery topics, such as homeassistant. Absent: "
+        "drives are not made known to it."),
+), "The message broker of the MQTT bridge (`lecombus bridge mqtt`).")  # fmt: skip
 
 _MODBUS: Final = Table("modbus", (
     Key("host", IpAddress(),

@@ -29,7 +29,15 @@ from lecombus.drives import Verb, WriteClass, family
 from lecombus.durations import format_duration
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.parameters import Code
-from lecombus.roster import ApiEntry, DriveEntry, LineEntry, Roster, is_network_port
+from lecombus.roster import (
+    ApiEntry,
+    DriveEntry,
+    LineEntry,
+    MqttEntry,
+    Roster,
+    is_loopback,
+    is_network_port,
+)
 from lecombus.schedule.watchdog_deadline import HARD_PART
 from lecombus.schedule.watchdog_set import WatchdogSet
 
@@ -59,6 +67,7 @@ def find_warnings(roster: Roster) -> list[str]:
     found.extend(_unwatched(roster))
     found.extend(_gathered(text for drive in roster.drives for text in _leases(drive)))
     found.extend(_access(roster.api))
+    found.extend(_mqtt(roster.mqtt))
     found.extend(_groups(roster))
     found.extend(_gathered(text for drive in roster.drives for text in _watchdog(drive)))
     found.extend(_gathered(text for drive in roster.drives for text in _writable(drive)))
@@ -278,6 +287,16 @@ def _access(api: ApiEntry) -> Iterator[str]:
             f"api.http {api.http} listens in every network that this machine is in; one address "
             "of it may be enough"
         )
+
+
+def _mqtt(mqtt: MqttEntry | None) -> Iterator[str]:
+    """Warn of a broker on the network that is spoken to in plain text."""
+    if mqtt is None or mqtt.tls or is_loopback(mqtt.host):
+        return
+    what = "the password and " if mqtt.password_file else ""
+    yield f"mqtt.tls false: everyone on the way reads {what}what is sent, and can change it"
+    if mqtt.control:
+        yield "mqtt.control without TLS: everyone on the way can start motors"
 
 
 def _groups(roster: Roster) -> Iterator[str]:
