@@ -144,7 +144,7 @@ LEASE_MUTANTS: dict[str, Mutant] = {
         "_end_silence",
         "control.lease is not None and self._health.is_silence_over(drive)",
         "control.lease is not None",
-        (9, 13),
+        (1, 7),
         leased=True,
     ),
     "a drive that runs without a lease after the start is left alone": Mutant(

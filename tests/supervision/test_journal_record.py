@@ -24,7 +24,7 @@ from support.site_host import Plant, until, with_plant
 
 ROSTER = roster_text(
     [("a", 11, "8200vector"), ("b", 12, "8200vector")],
-    drive="watchdog: {time: 2s, action: inhibit, configure: true}",
+    drive="watchdog: {time: 2s, action: inhibit, configure: true}, also_writable: [C0001, C0012]",
 )
 
 
@@ -131,7 +131,16 @@ def test_while_the_journal_fails_writes_are_refused_if_the_roster_says_so(refuse
         assert kept.rows[-1][2] == "refused"
         later = set(map(id, plant.line["a"].log)) - set(map(id, before))
         assert not [one for one in plant.line["a"].log if one.kind == "write" and id(one) in later]
-        # A plain write that stops is a stop.
+        for code, value in ((1, 3), (135, "H0000")):  # who controls it, and a control word
+            with pytest.raises(OperationError, match="there is no room"):
+                await plant.site.operations.write("a", Code(code), value)
+        with pytest.raises(OperationError, match="there is no room"):
+            await plant.site.operations.write_group("all", Code(46), 20)
+        with pytest.raises(OperationError, match="there is no room"):
+            await plant.site.operations.verb("a", Verb.ENABLE)
+        # A setting moves nothing, and a plain write that stops is a stop.
+        assert (await plant.site.operations.write("a", Code(12), 5)).outcome.is_good
+        assert (await plant.site.operations.write_group("all", Code(12), 6)).outcome.is_good
         assert (await plant.site.operations.write("a", Code(135), "H0200")).outcome.is_good
 
     with_record(test, refuses=refuses)

@@ -121,6 +121,8 @@ class Act:
         actor: Who asked.
         old: The value that was known before; empty where none was, or for a password.
         is_stop: It stops its drives: it must wait for nothing.
+        is_setting: It writes a described parameter that neither moves a drive nor says who controls
+            it: it is carried out also where control must be refused.
     """
 
     event: str
@@ -129,6 +131,7 @@ class Act:
     actor: Actor
     old: str = ""
     is_stop: bool = False
+    is_setting: bool = False
 
 
 class ActionFollower(Protocol):
@@ -216,6 +219,7 @@ class Actions:
         *,
         old: str = "",
         is_stop: bool = False,
+        is_setting: bool = False,
     ) -> R:
         """Carry out an operation and log its end; when cancelled its outcome is unknown.
 
@@ -226,8 +230,9 @@ class Actions:
             work: Carries it out; given how long it has waited for the followers, seconds.
             old: The value that was known before.
             is_stop: It waits for no follower.
+            is_setting: As in `Act`.
         """
-        act = Act(event, target, said, ACTOR.get(), old, is_stop)
+        act = Act(event, target, said, ACTOR.get(), old, is_stop, is_setting)
         outcome, more = Outcome.UNKNOWN.value, dict(said)
         came, held = CAME_S.set(CAME_S.get()), HELD_FROM_S.set(None)
         try:

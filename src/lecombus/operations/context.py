@@ -28,9 +28,10 @@ from lecombus.errors import (
     meant,
 )
 from lecombus.fieldbus.requests import Station
+from lecombus.leases import Use
 from lecombus.line_events import LineRequests
 from lecombus.operations.awaited_requests import Requests
-from lecombus.operations.lease_operations import Leases
+from lecombus.operations.lease_operations import Leases, use_of
 from lecombus.operations.nak_diagnosis import NakDiagnosis
 from lecombus.operations.permissions import Permissions
 from lecombus.operations.wear import Wear
@@ -169,6 +170,13 @@ class OperationContext:
         wires = self._wires(target, code, value)
         return wires is not None and all(
             asks_to_stop(drive.family, code, wire) for drive, wire in wires
+        )
+
+    def is_setting(self, target: str, code: Code, value: Decimal | int | str) -> bool:
+        """Whether a write changes a setting of a drive, or of each of a group, and no more."""
+        wires = self._wires(target, code, value)
+        return wires is not None and all(
+            use_of(drive.family, code, wire) is Use.SETTING for drive, wire in wires
         )
 
     def on_the_wire(self, target: str, code: Code, value: Decimal | int | str) -> str:

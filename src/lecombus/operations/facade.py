@@ -118,6 +118,7 @@ class Operations:
                 urgency=urgency, restoring=restoring, unless_stopped_since=unless_stopped_since,
             ),
             old=self._old(drive, code), is_stop=self._means_stop(drive, code, value),
+            is_setting=self._is_setting(drive, code, value),
         )  # fmt: skip
 
     async def write_group(
@@ -137,6 +138,7 @@ class Operations:
                 group, code, value, expires_s=left(expires_s, waited_s), verify=verify
             ),
             old=self._old(group, code), is_stop=self._means_stop(group, code, value),
+            is_setting=self._is_setting(group, code, value),
         )  # fmt: skip
 
     async def stop(self, action: StopAction, target: str) -> GroupReport:
@@ -211,6 +213,10 @@ class Operations:
     def _means_stop(self, target: str, code: Code, value: Decimal | int | str) -> bool:
         """Whether a plain write is a stop, which no follower of operations may delay."""
         return bool(self.actions.followers) and self.context.means_stop(target, code, value)
+
+    def _is_setting(self, target: str, code: Code, value: Decimal | int | str) -> bool:
+        """Whether a write changes settings only, which is carried out while a journal fails."""
+        return bool(self.actions.followers) and self.context.is_setting(target, code, value)
 
     def _old(self, target: str, code: Code) -> str:
         """Return what a drive, or each of a group, was last read to hold, as on the wire."""

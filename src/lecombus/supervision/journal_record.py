@@ -3,8 +3,8 @@
 Strategy: one follower of operations (`actions`) and one subscriber of the store; nothing else in
 the program writes to the journal, so its rows are made in one place. An operation that is no stop
 waits until its intent is on the disk: the line goes on with other requests in that time. While
-the journal fails, such an operation is refused, or goes on where the roster says `on_failure:
-go-on`. Stops are recorded behind the telegram and are never refused.
+the journal fails, one that controls a drive is refused, or goes on where the roster says
+`on_failure: go-on`; settings go on. Stops are recorded behind the telegram and never refused.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class JournalRecord:
     Args:
         journal: The journal.
         store: What is known; gets the changes of states and faults from there.
-        refuses: Whether operations are refused while the journal fails.
+        refuses: Whether operations are refused while the journal fails, all but stops and settings.
     """
 
     def __init__(self, journal: Journal, store: Store, *, refuses: bool) -> None:
@@ -84,7 +84,7 @@ class JournalRecord:
         try:
             await self._journal.committed(intent)
         except JournalFileError as exc:
-            if not self._refuses:
+            if act.is_setting or not self._refuses:
                 return
             self._journal.withdraw(intent)
             raise OperationError(
