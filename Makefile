@@ -9,11 +9,12 @@
 # make golden  what the program says in tests, written again: tests/*/golden.txt (ARGS="tests/cli")
 # make openapi the description of the HTTP interface, from the routes and the answer models
 # make schema  config/roster.schema.json, for editors, from the keys of a roster
+# make dashboards  deploy/grafana/*.json, from the code in tests/dashboards/
 # make lock    requirements/*.txt anew from *.in (make lock ARGS=--upgrade for newer versions)
 
 ARGS ?=
 
-.PHONY: demo test test-long proof compare check bench golden openapi schema wheel lock format clean
+.PHONY: demo test test-long proof compare check bench golden openapi schema dashboards wheel lock format clean
 
 demo:
 	@scripts/venv runtime
@@ -58,6 +59,10 @@ openapi:
 schema:
 	@scripts/venv dev
 	@PYTHONPATH=src .venv/bin/python scripts/schema
+
+dashboards:
+	@scripts/venv dev
+	@PYTHONPATH=src:tests .venv/bin/python -m dashboards.boards
 
 wheel:
 	@scripts/venv runtime

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,7 +18,6 @@ from support.daemon_host import (
     lecombus,
     on_a_pty,
     short_dir,
-    started,
     until,
 )
 from support.real_parts import require
@@ -128,42 +126,9 @@ def test_promtool_takes_the_page_of_a_running_daemon(daemon: Daemon, accept: str
     assert page.headers["content-type"].startswith(accept.partition(";")[0])
     if accept == OPENMETRICS:
         assert page.text.endswith("\n# EOF\n")
-        return  # promtool reads the plain format only; Prometheus itself reads this one below
+        return  # promtool reads the plain format only; tests/prometheus: Prometheus reads this
     done = subprocess.run(
         [require("promtool"), "check", "metrics"],
         input=page.text, capture_output=True, text=True, timeout=15, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
-
-
-@pytest.mark.slow
-def test_prometheus_sees_which_drives_are_up(daemon: Daemon, tmp_path: Path) -> None:
-    port = free_port()
-    target = http_url(daemon).removeprefix("http://")
-    (tmp_path / "prometheus.yml").write_text(
-        "global: {scrape_interval: 250ms}\n"
-        f"scrape_configs: [{{job_name: l, static_configs: [{{targets: ['{target}']}}]}}]\n"
-    )
-    words = [
-        str(require("prometheus")),
-        f"--config.file={tmp_path / 'prometheus.yml'}",
-        f"--storage.tsdb.path={tmp_path / 'data'}",
-        f"--web.listen-address=127.0.0.1:{port}",
-    ]
-    api = httpx2.Client(base_url=f"http://127.0.0.1:{port}/api/v1", trust_env=False)
-
-    def ask(query: str) -> list[dict[str, Any]]:
-        answer = api.get("/query", params={"query": query})
-        if answer.status_code != 200:  # it is still starting
-            return []
-        found: list[dict[str, Any]] = answer.json().get("data", {}).get("result", [])
-        return found
-
-    with api, started(words, tmp_path / "log", env=dict(os.environ)):
-        until(lambda: ask("count_over_time(lecombus_drive_up[1m]) >= 5"), "five scrapes")
-        rates = until(lambda: ask("rate(lecombus_telegrams_total[1m]) > 0"), "telegrams between")
-        up = {one["metric"]["drive"]: one["value"][1] for one in ask("lecombus_drive_up")}
-        scraped = api.get("/targets").json()["data"]["activeTargets"][0]
-    assert up == {"belt": "1", "winder": "1", "ghost": "0"}
-    assert (scraped["health"], scraped["lastError"]) == ("up", "")
-    assert rates
