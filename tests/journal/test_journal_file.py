@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import random
 import sqlite3
 import subprocess
 import sys
@@ -18,9 +19,15 @@ from typing import Any
 import apsw
 import pytest
 
-from lecombus.journal import reading
+from lecombus.journal import journal_file, reading
 from lecombus.journal.chain import ASKED, Head, Row
-from lecombus.journal.journal_file import APPLICATION_ID, JournalFile, JournalFileError
+from lecombus.journal.journal_file import (
+    APPLICATION_ID,
+    SETTLED,
+    SETTLED_ROWS,
+    JournalFile,
+    JournalFileError,
+)
 from lecombus.journal.kept import Fact, KeyRow
 
 MOST = 16 * 1024 * 1024
@@ -116,6 +123,47 @@ def test_an_intent_without_an_end_is_unknown_after_the_next_start(path: Path) ->
         ]  # fmt: skip
         assert problem(file) == ""
         file.close()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_every_intent_without_an_end_is_found_though_few_rows_are_looked_at(
+    path: Path, monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    monkeypatch.setattr(journal_file, "SETTLED_ROWS", 7)
+    chance, expected = random.Random(seed), set()
+    for _ in range(4):
+        file = opened(path)
+        intents: list[Row] = []
+        for number in range(chance.randrange(60)):
+            if intents and chance.random() < 0.6:
+                intent = intents.pop(chance.randrange(len(intents)))
+                rows = [Row("write", "feeder", {}, number, "done", intent)]
+            else:
+                intents.append(row(number, "write", outcome=ASKED))
+                rows = [intents[-1]]
+            file.write(rows, [], number)
+            if chance.random() < 0.02:
+                file.close()  # as after a trouble: the next write opens it again
+        expected |= {one.number for one in intents}
+        file.close()
+    with closing(opened(path)) as file:
+        found = [intent for intent, outcome in columns(file, "intent, outcome")
+                 if outcome == "unknown"]  # fmt: skip
+        assert sorted(found) == sorted(expected)
+        assert problem(file) == ""
+
+
+def test_an_opening_looks_at_the_newest_rows_only(path: Path) -> None:
+    file = opened(path)
+    for number in range(30):
+        intents = [row(number, "write", outcome=ASKED) for _ in range(SETTLED_ROWS // 20)]
+        ends = [Row("write", "feeder", {}, number, "done", intent) for intent in intents]
+        file.write(intents, [], number)
+        file.write(ends, [], number)
+    rows, kept = file.head.number, file.ask(lambda db: reading.fact(db, SETTLED))
+    assert rows == 3 * SETTLED_ROWS
+    assert rows - int(kept or 0) < 1.2 * SETTLED_ROWS
+    file.close()
 
 
 def test_an_opening_that_failed_half_way_is_made_good_later(

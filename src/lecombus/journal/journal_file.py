@@ -42,6 +42,11 @@ RESERVE_PAGES: Final = 256
 CHECKPOINT_FRAMES: Final = 96
 """The WAL was made `RESERVE_PAGES` long, and starts again behind each checkpoint."""
 CUT_ROWS: Final = 400
+SETTLED: Final = "begun"
+"""Under this name the file keeps up to which row no intent is without an end."""
+SETTLED_ROWS: Final = 1000
+"""How many new rows until it is kept behind which row intents may have no end: the next opening
+looks there only. Looking at 800,000 rows takes a second, and far longer from a slow SD card."""
 LEAST_BYTES: Final = 4 * 1024 * 1024
 SET_ASIDE_MOST: Final = 9
 
@@ -104,6 +109,8 @@ class JournalFile:
         self._inode = (0, 0)
         self._names: tuple[Path, ...] = ()
         self._files = 0
+        self._open_intents: dict[int, None] = {}  # without an end, the oldest first
+        self._settled = 0  # what the file keeps: no intent up to this row is without an end
         self._is_damaged = False
         self._room_trouble = ""
         self._has_reserve = False
@@ -214,15 +221,17 @@ class JournalFile:
         self.head = Head(max(found.number, said.number), found.hash)
         if is_first or is_new or why:
             self._files += 1
+            self._open_intents.clear()
+            self._settled = self.head.number
         rows = self._without_end(db, known.number, now_ms)
         if why:
             rows.insert(0, Row("doubt", "", {"reason": why}, now_ms))
             self.trouble = why
-        self._commit(rows, (Fact("begun", str(self.head.number)),) if is_first else ())
+        self._commit(rows, (Fact(SETTLED, str(self._settled)),) if is_first else ())
 
     def _without_end(self, db: apsw.Connection, after: int, now_ms: int) -> list[Row]:
         """Return the ends of intents that have none, behind a row that was known before."""
-        after = min(max(after, int(fact(db, "begun") or 0)), self.head.number)
+        after = min(max(after, int(fact(db, SETTLED) or 0)), self.head.number)
         open_ones: list[tuple[Any, ...]] = db.execute(
             "SELECT id, kind, drive FROM entries AS asked WHERE id > ?1 AND outcome = ?2 "
             "AND NOT EXISTS (SELECT 1 FROM entries WHERE intent = asked.id) ORDER BY id",
@@ -346,11 +355,22 @@ class JournalFile:
                 db.execute("UPDATE head SET id = ?1, hash = ?2", (head.number, head.hash))
             for other in others:
                 keep(db, other)
-        self.head = head
+            if (settled := self._settles()) is not None:
+                keep(db, Fact(SETTLED, str(settled)))
+        self.head, self._settled = head, self._settled if settled is None else settled
         for row, its in numbers.items():
             row.number, row.file = its.number, self._files
+            if row.outcome == ASKED:
+                self._open_intents[row.number] = None
+            elif row.intent is not None and row.intent.file == self._files:
+                self._open_intents.pop(row.intent.number, None)
             if row.intent is not None and not row.intent.number:
                 row.intent.is_withdrawn = True  # its end has its fields
+
+    def _settles(self) -> int | None:
+        """Return a row up to which no intent is without an end, when it is time to keep that."""
+        settled = next(iter(self._open_intents), self.head.number + 1) - 1
+        return settled if settled - self._settled >= SETTLED_ROWS else None
 
     def _insert(self, db: apsw.Connection, head: Head, row: Row, numbers: dict[Row, Head]) -> Head:
         """Add a row behind the newest one."""
