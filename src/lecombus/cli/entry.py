@@ -62,6 +62,7 @@ COMMANDS: Final[Mapping[str, tuple[str, str]]] = {
     "journal": ("journal", "Show who did what to which drive, and what happened to them."),
     "token": ("token", "Make, list and revoke the tokens that requests over TCP carry."),
     "scan": ("scan", "Find the drives on a line, and propose a roster."),
+    "bridge": ("bridge_commands", "Run a bridge to another protocol, such as Modbus TCP."),
     "why": ("status", "Say why a drive does not turn, and what to do next."),
 }
 """By name, in the order of the help: the module in `cli/` with its `NAME_command`, and the help."""

@@ -1,0 +1,156 @@
+"""`lecombus bridge`: other doors to a line than HTTP, each a process of its own.
+
+Each bridge is imported when it is called; its libraries are extras of the package.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Callable, Coroutine
+from contextlib import suppress
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from lecombus.cli.arguments import json_option, roster_option
+from lecombus.cli.exits import CommandError, Exit
+from lecombus.cli.run import FORMATS, LEVELS, set_up_logging
+
+if TYPE_CHECKING:
+    from lecombus.roster import Roster
+
+__all__ = ["bridge_command"]
+
+Function = Callable[..., Any]
+
+MAP_FORMS: Final = ("text", "markdown")
+
+
+@click.group("bridge")
+def bridge_command() -> None:
+    """Run a bridge between a line and programs that speak another protocol.
+
+    A bridge is a client of the line's daemon. It obeys the same rules as HTTP, and it may be
+    started and ended at any time.
+    """
+
+
+def log_options(command: Function) -> Function:
+    """Give a command the options of the log, as `lecombus run` has them."""
+    command = click.option(
+        "--log-format", type=click.Choice(FORMATS), envvar="LECOMBUS_LOG_FORMAT", default="logfmt",
+        show_default=True,
+    )(command)  # fmt: skip
+    return click.option(
+        "--log-level", type=click.Choice(LEVELS, case_sensitive=False),
+        envvar="LECOMBUS_LOG_LEVEL", default="info", show_default=True,
+    )(command)  # fmt: skip
+
+
+@bridge_command.command("modbus")
+@roster_option
+@click.option("--map", "shows_map", is_flag=True,
+              help="Print the registers of this roster, and end.")  # fmt: skip
+@click.option("--markdown", is_flag=True, help="With --map: the general table, as in the manual.")
+@json_option
+@log_options
+def modbus_command(
+    roster: Path,
+    shows_map: bool,
+    markdown: bool,
+    as_json: bool,
+    log_level: str,
+    log_format: str,
+) -> int:
+    """Answer Modbus TCP, as the roster's `modbus:` says, until SIGTERM or Ctrl-C.
+
+    Values that are not fresh are answered with an exception. Writing needs `control: true`, and a
+    heartbeat that counts up: docs/modbus.md. Modbus has no passwords: the roster's `allow` lists
+    who may connect.
+
+    With --map, in a pipe: one line a register (register, words, drive, name, part, code, scale,
+    meaning).
+    """
+    from lecombus.config import load_roster
+
+    line = load_roster(roster)
+    if shows_map:
+        show_map(line, as_json=as_json, markdown=markdown)
+        return Exit.DONE
+    entry = line.modbus
+    if entry is None:
+        raise CommandError(
+            Exit.USAGE, f"{roster} has no key `modbus`", "write `modbus: {}` into it"
+        )
+    bridge = extra("lecombus.bridges.modbus.bridge", "modbus", "pymodbus")
+    set_up_logging(log_level, log_format)
+    try:
+        return run_until_signal("lecombus-modbus", partial(bridge.run_bridge, line, entry))
+    except OSError as exc:
+        problem = f"{entry.host}:{entry.port} cannot be listened on: {exc.strerror or exc}"
+        raise CommandError(
+            Exit.FORBIDDEN if isinstance(exc, PermissionError) else Exit.FAILED, problem,
+            "name another `host` or `port` under `modbus`; ports below 1024 need "
+            "CAP_NET_BIND_SERVICE, as deploy/lecombus-modbus@.service gives it",
+        ) from exc  # fmt: skip
+
+
+def show_map(line: Roster, *, as_json: bool, markdown: bool) -> None:
+    """Print which register is where."""
+    from lecombus.bridges.modbus.register_map import map_markdown, roster_rows
+    from lecombus.cli.screen import show_rows
+    from lecombus.drives import FAMILY_NAMES
+
+    if markdown:
+        click.echo(map_markdown(FAMILY_NAMES), nl=False)
+        return
+    rows = roster_rows([(one.name, one.address, one.family) for one in line.drives])
+    if as_json:
+        click.echo(json.dumps({"line": line.line.name, "registers": rows}, ensure_ascii=False))
+        return
+    head = ("register", "words", "drive", "name", "part", "code", "scale", "meaning")
+    show_rows(
+        head, [tuple("" if row.get(key) is None else str(row[key]) for key in head) for row in rows]
+    )
+
+
+def extra(module: str, name: str, library: str) -> Any:
+    """Import a bridge, whose library may not be installed.
+
+    Raises:
+        CommandError: It is not.
+    """
+    try:
+        return import_module(module)
+    except ModuleNotFoundError as exc:
+        if exc.name is None or exc.name.partition(".")[0] != library:
+            raise
+        problem = f"{library} is not installed, which this bridge needs"
+        raise CommandError(Exit.FAILED, problem, f"install lecombus[{name}]") from exc
+
+
+def run_until_signal(name: str, work: Callable[[], Coroutine[Any, Any, None]]) -> int:
+    """Run a bridge until SIGTERM or SIGINT; returns the exit status.
+
+    Args:
+        name: What the daemon's journal and log call the process, at most 15 characters.
+        work: Runs the bridge.
+    """
+    import anyio  # commands that run no bridge start faster without
+
+    with suppress(OSError):
+        Path("/proc/self/comm").write_text(name, encoding="ascii")
+
+    async def main() -> int:
+        async with anyio.create_task_group() as tasks:
+            with anyio.open_signal_receiver(signal.SIGTERM, signal.SIGINT) as signals:
+                tasks.start_soon(work)
+                async for _ in signals:
+                    tasks.cancel_scope.cancel()
+        return Exit.DONE
+
+    return anyio.run(main)
