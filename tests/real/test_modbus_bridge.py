@@ -9,9 +9,8 @@ import signal
 import socket
 import subprocess
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import pytest
 
@@ -22,23 +21,22 @@ from support.daemon_host import (
     environment,
     free_port,
     lecombus,
-    on_a_pty,
+    running,
     short_dir,
     started,
     until,
 )
 from support.modbus_plc import ModbusClient, ModbusRefusedError, Outputs, cycling, halves
+from support.rosters import roster_text
 
 pytestmark = [pytest.mark.real]
 
 FEEDER = 1100
 BELT = 1200
-PENDING, DONE, VERIFIED, REFUSED = 1, 2, 3, 4
+DONE, VERIFIED, REFUSED = 2, 3, 4
 HELD = 3
-AWAY, NOT_FRESH = 0x0A, 0x0B
+BUSY, AWAY, NOT_FRESH = 0x06, 0x0A, 0x0B
 LEASE_S = 1.0
-
-DRIVES = (("feeder", 11, "8200vector"), ("belt", 12, "smvector"))
 
 
 @dataclass
@@ -49,10 +47,6 @@ class Site:
     bridge: subprocess.Popen[bytes]
     port: int
     client: ModbusClient
-    folder: Path
-
-    def log(self) -> str:
-        return (self.folder / "bridge.log").read_text()
 
     def shown(self) -> list[int]:
         """The last command and its outcome, the last setpoint and its outcome."""
@@ -61,26 +55,41 @@ class Site:
     def command(self) -> list[int]:
         return self.client.read(FEEDER + 11, 2)
 
+    def controls(self) -> bool:
+        return self.client.read(FEEDER + 7) == [HELD]
+
+    def turns(self) -> bool:
+        return self.client.refused(FEEDER + 26, 2) == 0 and self.client.signed(FEEDER + 26) > 0
+
+
+@pytest.fixture(scope="module")
+def daemon() -> Iterator[Daemon]:
+    """One daemon for all; what is done to it is undone by each test, but for the last."""
+    lease = f"lease: {{required: true, time: {LEASE_S}s, on_lapse: quick-stop}}"
+    cyclic = "cyclic: [{code: C0150, every: 200ms}, {code: C0050, every: 200ms}]"
+    drives = (("feeder", 11, "8200vector"), ("belt", 12, "93xx"))
+    with short_dir() as folder:
+        text = roster_text(drives, folder=folder, own={"feeder": f"{lease}, {cyclic}"})
+        with running(text, folder) as found:
+            found.until_online("feeder", within_s=40.0)
+            yield found
+
 
 @contextlib.contextmanager
-def site(control: bool, **roster: str) -> Iterator[Site]:
-    with short_dir() as folder:
-        port = free_port()
-        sections = f"modbus: {{port: {port}, control: {control}, units: [1]}}"
-        lease = f"lease: {{required: true, time: {LEASE_S}s, on_lapse: quick-stop}}"
-        cyclic = "cyclic: [{code: C0150, every: 200ms}, {code: C0050, every: 200ms}]"
-        own = {"feeder": f"{lease}, {cyclic}"}
-        with on_a_pty(folder, DRIVES, sections=sections, own=own, **roster) as (daemon, _):
-            words = command("bridge", "modbus", "-c", folder / "roster.yaml")
-            with started(words, folder / "bridge.log", env=environment()) as bridge:
-                until(lambda: "event=daemon-connected" in (folder / "bridge.log").read_text(),
-                      "the bridge serves", within_s=30.0)  # fmt: skip
-                daemon.until_online(within_s=40.0)
-                client = ModbusClient(port)
-                try:
-                    yield Site(daemon, bridge, port, client, folder)
-                finally:
-                    client.close()
+def bridge(daemon: Daemon, *, control: bool = True) -> Iterator[Site]:
+    port = free_port()
+    roster, log = daemon.folder / f"{port}.yaml", daemon.folder / f"{port}.log"
+    modbus = f"modbus: {{port: {port}, control: {control}, units: [1]}}\n"
+    roster.write_text(daemon.roster.read_text() + modbus)
+    words = command("bridge", "modbus", "-c", roster)
+    with started(words, log, env=environment()) as process:
+        until(lambda: "event=daemon-connected" in log.read_text(), "it serves", within_s=30.0)
+        client = ModbusClient(port)
+        try:
+            until(lambda: client.refused(FEEDER + 20, 8) == 0, "values are fresh")
+            yield Site(daemon, process, port, client)
+        finally:
+            client.close()
 
 
 def mbpoll(port: int, first: int, *words: str, kind: str = "4") -> subprocess.CompletedProcess[str]:
@@ -100,14 +109,15 @@ def polled(port: int, first: int, count: int, kind: str = "4") -> tuple[list[int
     return [int(one) for one in rows], done.stdout + done.stderr
 
 
-def test_another_makes_client_reads_and_writes_and_is_refused_what_is_old() -> None:
-    with site(control=False) as one:
-        assert until(lambda: one.client.read(FEEDER, 2) == [2, 7], "fresh values")
+def test_another_makes_client_reads_and_is_refused_what_is_old_and_what_it_may_not(
+    daemon: Daemon,
+) -> None:
+    with bridge(daemon, control=False) as one:
         registers, _ = polled(one.port, FEEDER, 17)
-        assert (len(registers), registers[0], registers[5]) == (17, 2, 1)
+        assert (len(registers), registers[0], registers[5], registers[7]) == (17, 2, 1, 0)
         inputs, _ = polled(one.port, FEEDER + 20, 8, kind="3")
         assert len(inputs) == 8
-        _, said = polled(one.port, FEEDER + 28, 2)
+        _, said = polled(one.port, 1226, 2)  # a 93XX shows no speed
         assert "Target device failed to respond" in said
         _, said = polled(one.port, 1300, 1)
         assert "Illegal data address" in said
@@ -115,35 +125,7 @@ def test_another_makes_client_reads_and_writes_and_is_refused_what_is_old() -> N
         assert "Illegal function" in done.stdout + done.stderr
         for _ in range(1000):
             assert len(one.client.read(FEEDER, 17)) == 17
-        assert one.daemon.get("/v1/drives/feeder")["state"] == "online"
-
-
-def test_a_plc_enables_sets_stops_and_loses_its_lease_when_it_hangs() -> None:
-    with site(control=True) as one, cycling(one.port, FEEDER + 40, command=3) as plc:
-        plc.setpoint = 354000
-        until(lambda: one.client.read(FEEDER + 7, 1) == [HELD], "the lease is held")
-        time.sleep(0.5)
-        assert one.shown()[2:4] == [REFUSED, 1]  # set before the lease: it starts nothing
-        assert one.daemon.get("/v1/drives/feeder")["motion"]["doing"] == "stopped"
-        enable(one, plc)
-        until(lambda: one.shown()[5] == DONE, "the setpoint is given")
-        until(lambda: turns(one), "it turns")
-        rows = one.daemon.log().count("verb=set-speed")
-        time.sleep(1.0)
-        assert one.daemon.log().count("verb=set-speed") == rows == 1
-        plc.setpoint = 200000
-        until(lambda: "C0046:20" in one.daemon.log(), "the new setpoint")
-        plc.is_counting = False
-        until(lambda: one.client.read(FEEDER + 7, 1)[0] != HELD, "the lease ends")
-        until(lambda: "event=lapse-stopped" in one.daemon.log(), "the drive is stopped")
-        plc.is_counting = True
-        until(lambda: one.client.read(FEEDER + 7, 1) == [HELD], "the lease is held again")
-        time.sleep(0.5)
-        assert not turns(one)
-        enable(one, plc)
-        plc.command = 1
-        until(lambda: one.command() == [1, VERIFIED], "the quick stop")
-        assert "process=lecombus-modbus" in one.daemon.log()
+        assert daemon.states()["feeder"] == "online"
 
 
 def enable(one: Site, plc: Outputs) -> None:
@@ -153,50 +135,93 @@ def enable(one: Site, plc: Outputs) -> None:
     until(lambda: one.command() == [3, VERIFIED], "enabled")
 
 
-def turns(one: Site) -> bool:
-    return one.client.refused(FEEDER + 26, 2) == 0 and one.client.signed(FEEDER + 26) > 0
+def test_a_plc_enables_sets_stops_and_loses_its_lease_when_it_hangs(daemon: Daemon) -> None:
+    with bridge(daemon) as one, cycling(one.port, FEEDER + 40, command=3) as plc:
+        plc.setpoint = 354000
+        until(one.controls, "the lease is held")
+        time.sleep(0.5)
+        assert one.shown()[2:4] == [REFUSED, 1]  # set before the lease: it starts nothing
+        assert not one.turns()
+        enable(one, plc)
+        until(lambda: one.shown()[5] == DONE, "the setpoint is given")
+        until(one.turns, "it turns")
+        time.sleep(1.0)
+        assert daemon.log().count("verb=set-speed") == 1
+        plc.setpoint = 200000
+        until(lambda: "C0046:20" in daemon.log(), "the new setpoint")
+        plc.is_counting = False
+        until(lambda: not one.controls(), "the lease ends")
+        until(lambda: "event=lapse-stopped" in daemon.log(), "the drive is stopped")
+        until(lambda: not one.turns(), "it stands", within_s=30.0)
+        plc.is_counting = True
+        until(one.controls, "the lease is held again")
+        time.sleep(1.0)
+        assert not one.turns()
+        enable(one, plc)
+        plc.command = 1
+        until(lambda: one.command() == [1, VERIFIED], "the quick stop")
+        assert "process=lecombus-modbus" in daemon.log()
+    # The lease was not given up when the PLC ended.
+    until(lambda: daemon.log().count("end=lapsed") == 2, "the lease lapses")
+    assert "end=released" not in daemon.log()
 
 
-def test_stops_need_no_lease_and_come_from_anyone_who_may_connect() -> None:
-    with site(control=True) as one:
+def test_stops_need_no_lease_and_come_from_every_address_that_may_connect(daemon: Daemon) -> None:
+    with bridge(daemon) as one:
         assert "Written 1 references" in mbpoll(one.port, FEEDER + 41, "2").stdout
         until(lambda: one.command() == [2, VERIFIED], "the inhibit")
         one.client.write_one(40, 1)
         until(lambda: one.client.read(5, 2) == [1, VERIFIED], "the stop of all")
-        with cycling(one.port, FEEDER + 40) as plc:
-            until(lambda: one.client.read(FEEDER + 7, 1) == [HELD], "the lease is held")
-            other = ModbusClient(one.port, source="127.0.0.2")
-            with contextlib.closing(other):
+        with cycling(one.port, FEEDER + 40):
+            until(one.controls, "the lease is held")
+            with contextlib.closing(ModbusClient(one.port, source="127.0.0.2")) as other:
                 with pytest.raises(ModbusRefusedError) as refused:
                     other.write(FEEDER + 40, 1, 0, *halves(5))
-                assert refused.value.code == 0x06
+                assert refused.value.code == BUSY
                 other.write_one(FEEDER + 41, 1)
             until(lambda: one.command() == [1, VERIFIED], "the stop of another")
-            assert plc.count > 0
-
-
-@pytest.mark.parametrize(("values", "code"), [((5,), 3), ((0xFFFF,), 3)])
-def test_what_is_no_command_is_refused(values: Sequence[int], code: int) -> None:
-    with site(control=True) as one:
-        for first in (FEEDER + 41, 40):
+        for first, values, code in (
+            (FEEDER + 41, (5,), 3), (40, (3,), 3), (FEEDER + 42, (1,), 2), (FEEDER + 43, (1,), 2),
+            (FEEDER + 20, (1,), 2), (FEEDER + 40, (1, 0, 0), 2), (1341, (1,), 2),
+        ):  # fmt: skip
             with pytest.raises(ModbusRefusedError) as refused:
                 one.client.write(first, *values)
             assert refused.value.code == code
-        for first, words in ((FEEDER + 42, (1,)), (FEEDER + 43, (1,)), (FEEDER + 20, (1,)),
-                             (FEEDER + 40, (1, 0, 0)), (1341, (1,)), (FEEDER + 43, (0, 0))):  # fmt: skip
-            with pytest.raises(ModbusRefusedError) as refused:
-                one.client.write(first, *words)
-            assert refused.value.code == 2
-        assert one.client.read(FEEDER + 40, 4) == [0, 0, 0, 0]
 
 
-def test_values_of_a_daemon_that_hangs_or_dies_become_exceptions_in_their_time() -> None:
-    with site(control=True) as one:
-        until(lambda: one.client.refused(FEEDER + 20, 8) == 0, "fresh values")
-        one.daemon.tell(signal.SIGSTOP)
+def test_a_bridge_that_is_killed_leaves_no_motor_running(daemon: Daemon) -> None:
+    stops = daemon.log().count("event=lapse-stopped")
+    with bridge(daemon) as one, cycling(one.port, FEEDER + 40) as plc:
+        plc.setpoint = 100000
+        until(one.controls, "the lease is held")
+        enable(one, plc)
+        one.bridge.send_signal(signal.SIGKILL)
+        until(lambda: daemon.log().count("event=lapse-stopped") > stops, "the drive is stopped")
+
+
+def test_it_ends_by_sigterm_and_says_what_is_wrong_with_its_roster(daemon: Daemon) -> None:
+    with bridge(daemon) as one:
+        one.bridge.send_signal(signal.SIGTERM)
+        assert one.bridge.wait(10.0) == 0
+        with socket.create_server(("127.0.0.1", one.port)):
+            done = lecombus("bridge", "modbus", "-c", daemon.folder / f"{one.port}.yaml")
+        assert done.status == 1
+        assert f"127.0.0.1:{one.port} cannot be listened on" in done.err
+    done = lecombus("bridge", "modbus", "-c", daemon.roster)
+    assert done.status == 2
+    assert "has no key `modbus`" in done.err
+    found = lecombus("bridge", "modbus", "-c", daemon.roster, "--map", "--json").json()
+    commands = [one["register"] for one in found["registers"] if one["name"] == "command"]
+    assert commands == [FEEDER + 41, 1241]
+
+
+def test_values_of_a_daemon_that_hangs_or_dies_become_exceptions_in_their_time(
+    daemon: Daemon,
+) -> None:
+    with bridge(daemon) as one:
         stopped_s = time.monotonic()
+        daemon.tell(signal.SIGSTOP)
         try:
-            # C0150 and C0050 are read every 200 ms: they are good for a second at most.
             until(lambda: one.client.refused(FEEDER + 20) in (NOT_FRESH, AWAY), "stale",
                   within_s=8.0)  # fmt: skip
             until(lambda: one.client.refused(FEEDER + 26, 2) in (NOT_FRESH, AWAY), "stale")
@@ -208,37 +233,8 @@ def test_values_of_a_daemon_that_hangs_or_dies_become_exceptions_in_their_time()
                 one.client.write_one(FEEDER + 41, 1)
             assert refused.value.code == AWAY
         finally:
-            one.daemon.tell(signal.SIGCONT)
+            daemon.tell(signal.SIGCONT)
         until(lambda: one.client.refused(FEEDER + 20, 8) == 0, "fresh again", within_s=20.0)
-        one.daemon.process.kill()
+        daemon.process.kill()
         until(lambda: one.client.refused(FEEDER + 20) == AWAY, "away")
         assert len(one.client.read(FEEDER, 17)) == 17
-
-
-def test_a_bridge_that_is_killed_or_stopped_leaves_no_motor_running() -> None:
-    with site(control=True) as one, cycling(one.port, FEEDER + 40) as plc:
-        plc.setpoint = 100000
-        until(lambda: one.client.read(FEEDER + 7, 1) == [HELD], "the lease is held")
-        enable(one, plc)
-        one.bridge.send_signal(signal.SIGKILL)
-        until(lambda: "event=lapse-stopped" in one.daemon.log(), "the drive is stopped")
-        assert "end=lapsed" in one.daemon.log()
-
-
-def test_it_ends_by_sigterm_and_says_what_is_wrong_with_its_roster(tmp_path: Path) -> None:
-    with site(control=True) as one:
-        one.bridge.send_signal(signal.SIGTERM)
-        assert one.bridge.wait(10.0) == 0
-        with socket.create_server(("127.0.0.1", one.port)):
-            done = lecombus("bridge", "modbus", "-c", one.daemon.roster)
-            assert done.status == 1
-            assert f"127.0.0.1:{one.port} cannot be listened on" in done.err
-    roster = tmp_path / "r.yaml"
-    roster.write_text(
-        "line: {name: a, port: 'sim:'}\ndrives: [{name: b, address: 1, family: generic}]\n"
-    )
-    done = lecombus("bridge", "modbus", "-c", roster)
-    assert done.status == 2
-    assert "has no key `modbus`" in done.err
-    found = lecombus("bridge", "modbus", "-c", roster, "--map", "--json").json()
-    assert [one["register"] for one in found["registers"] if one["name"] == "command"] == [141]

@@ -139,18 +139,33 @@ def run_until_signal(name: str, work: Callable[[], Coroutine[Any, Any, None]]) -
     Args:
         name: What the daemon's journal and log call the process, at most 15 characters.
         work: Runs the bridge.
+
+    Raises:
+        OSError: The bridge ended with it.
     """
     import anyio  # commands that run no bridge start faster without
 
     with suppress(OSError):
         Path("/proc/self/comm").write_text(name, encoding="ascii")
 
-    async def main() -> int:
+    failures: list[OSError] = []
+
+    async def main() -> None:
         async with anyio.create_task_group() as tasks:
+
+            async def carry_out() -> None:
+                try:
+                    await work()
+                except OSError as exc:  # raised below, without a group round it
+                    failures.append(exc)
+                tasks.cancel_scope.cancel()
+
             with anyio.open_signal_receiver(signal.SIGTERM, signal.SIGINT) as signals:
-                tasks.start_soon(work)
+                tasks.start_soon(carry_out)
                 async for _ in signals:
                     tasks.cancel_scope.cancel()
-        return Exit.DONE
 
-    return anyio.run(main)
+    anyio.run(main)
+    if failures:
+        raise failures[0]
+    return Exit.DONE
