@@ -1,4 +1,6 @@
-"""A controlling program dies or hangs while the motor runs: real processes on a pseudo terminal.
+"""A controlling program dies, hangs or loses its network while the motor runs: real processes on a
+pseudo terminal. The network is a relay that forwards nothing more and closes nothing, so that the
+daemon is told nothing: as with a cable that is pulled.
 
 Some drives of the line are read all the time, so that the line is full. From the signal to the
 stop may pass the lease time, the wait that `lecombus plan` prints for a stop, and what the computer
@@ -15,15 +17,25 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
+from enum import Enum
 
 import pytest
 
 from support.children import Child, child, environment
-from support.daemon_host import Daemon, lecombus, running, short_dir, until
+from support.daemon_host import Daemon, free_port, lecombus, running, short_dir, until
+from support.relay import Relay, relay_to
 from support.rosters import Wanted, roster_text
 
 pytestmark = [pytest.mark.real]
+
+
+class End(Enum):
+    """What becomes of a controller."""
+
+    DIES = signal.SIGKILL
+    HANGS = signal.SIGSTOP
+    IS_CUT_OFF = None
+
 
 LEASE_S = 0.6
 WATCHDOG_S = 1.0
@@ -43,6 +55,7 @@ class Site:
     daemon: Daemon
     line: Child
     stop_s: float
+    network: Relay
 
     def turns(self) -> float:
         return float(self.line.ask("turns", drive=DRIVE))
@@ -62,29 +75,38 @@ class Site:
 def site(policy: str, count: int) -> Iterator[Site]:
     """Run a daemon with drives that are read as often as the line can."""
     with short_dir() as folder:
-        drives = FULL[:count]
+        drives, port = FULL[:count], free_port()
         lease = f"lease: {{required: true, time: {LEASE_S}s, on_lapse: {policy}}}"
         text = roster_text(
-            drives, port=folder / "port", folder=folder, own={DRIVE: lease},
+            drives, port=folder / "port", folder=folder, own={DRIVE: lease}, http=port,
             drive="cyclic: [{code: C0150, every: 100ms}, {code: C0135, every: 100ms}]",
             watchdog=f"{{time: {1 if count < 9 else 4}s, action: quick-stop}}",
         )  # fmt: skip
+        text = text.replace("http:", f"tokens: {folder / 'tokens'}, http:")
         (folder / "line.yaml").write_text(text)
+        made = lecombus(
+            "token", "new", "plc", "--scope", "write", "--scope", "control", "-o", folder / "token",
+            "-c", folder / "line.yaml", within_s=60.0,
+        )  # fmt: skip
+        assert made.status == 0, made.err
         words = ("--roster", folder / "line.yaml")
         plan = lecombus("plan", "-c", folder / "line.yaml", "--json", within_s=60.0).json()
         stop_s = next(one["loaded_s"] for one in plan["waits"] if one["name"] == "stop")
         with child("support.paced_line", folder / "port", *words) as line:
             line.ask("so_far")
-            with running(text, folder) as daemon:
+            with running(text, folder) as daemon, relay_to(port) as network:
                 # With `silence` nothing is sent to a drive that is enabled without a lease.
                 daemon.until_online(*(name for name, _, _ in drives[1:]), within_s=120.0)
-                yield Site(daemon, line, stop_s)
+                yield Site(daemon, line, stop_s, network)
 
 
 @contextlib.contextmanager
-def controller(folder: Path) -> Iterator[subprocess.Popen[str]]:
-    """Run the controlling program until it says that the drive runs."""
-    words = [folder / "api.sock", DRIVE, "30", LEASE_S]
+def controller(here: Site, *, over_network: bool) -> Iterator[subprocess.Popen[str]]:
+    """Run the controlling program, at the socket or over the network."""
+    folder = here.daemon.folder
+    words: list[object] = [folder / "api.sock", DRIVE, "30", LEASE_S]
+    if over_network:
+        words = [f"http://127.0.0.1:{here.network.port}", DRIVE, "30", LEASE_S, folder / "token"]
     program = subprocess.Popen(
         [sys.executable, "-m", "support.lease_client", *map(str, words)],
         stdout=subprocess.PIPE, text=True, env=environment(),
@@ -102,16 +124,19 @@ def line_of(program: subprocess.Popen[str]) -> str:
     return program.stdout.readline().strip()
 
 
-def die_once(here: Site, number: signal.Signals, *, silent: bool, rng: random.Random) -> float:
-    """Have a controller die or hang while the motor runs; gives how late the stop was, seconds."""
-    with controller(here.daemon.folder) as program:
+def end_once(here: Site, end: End, *, silent: bool, rng: random.Random) -> float:
+    """Have a controller end in some way while the motor runs; gives how late the stop was, s."""
+    with controller(here, over_network=end is End.IS_CUT_OFF) as program:
         assert line_of(program) == "running"
         until(lambda: here.turns() > 0.5, "the motor turns", within_s=30.0)
         fired = here.fired()
         time.sleep(rng.uniform(0.0, LEASE_S))
         assert not here.is_latched()
         here.line.ask("stops")
-        program.send_signal(number)
+        if end.value is None:
+            here.network.cut()
+        else:
+            program.send_signal(end.value)
         at_s = time.monotonic()
         until(here.is_latched, "the lease has lapsed", within_s=30.0)
         if silent:
@@ -125,41 +150,39 @@ def die_once(here: Site, number: signal.Signals, *, silent: bool, rng: random.Ra
         until(lambda: here.turns() == 0.0, "the motor stands", within_s=60.0)
         allowed_s = here.stop_s + here.lateness_s() + OWN_LATENESS_S
         assert late_s <= allowed_s, (late_s, allowed_s)
-        if number is signal.SIGSTOP:
-            program.send_signal(signal.SIGCONT)
+        if end is End.DIES:
+            assert program.wait(10.0) == -signal.SIGKILL
+        else:  # it goes on as if no time had passed
+            here.network.mend() if end is End.IS_CUT_OFF else program.send_signal(signal.SIGCONT)
             assert line_of(program) in ("lease-lost", "offline")
-        else:
-            assert program.wait(10.0) == -number
     time.sleep(0.5)
     assert here.turns() == 0.0
     assert here.is_latched()
     return late_s
 
 
-def die(policy: str, times: int, count: int) -> list[float]:
-    """Have controllers die and hang in turn."""
+def end_often(policy: str, times: int, count: int) -> list[float]:
+    """Have controllers die, hang and lose their network in turn."""
     rng = random.Random(policy)
     with site(policy, count) as here:
         silent = policy == "silence"
-        return [
-            die_once(here, (signal.SIGKILL, signal.SIGSTOP)[one % 2], silent=silent, rng=rng)
-            for one in range(times)
-        ]
+        ends = list(End) * times
+        return [end_once(here, end, silent=silent, rng=rng) for end in ends]
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(240)
 @pytest.mark.parametrize("policy", ["quick-stop", "silence"])
-def test_a_drive_stops_when_its_controller_dies_or_hangs(policy: str) -> None:
-    die(policy, 5, 5)
+def test_a_drive_stops_when_its_controller_dies_hangs_or_is_cut_off(policy: str) -> None:
+    end_often(policy, 2, 5)
 
 
 @pytest.mark.long
 @pytest.mark.timeout(7200)
 @pytest.mark.parametrize("policy", ["quick-stop", "silence"])
-def test_a_drive_of_a_full_line_stops_in_100_of_100_deaths_and_hangs(
+def test_a_drive_of_a_full_line_stops_in_100_of_100_ends_of_each_kind(
     policy: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    late_s = sorted(die(policy, 200, 31))
+    late_s = sorted(end_often(policy, 100, 31))
     with capsys.disabled():
-        print(f"\n{policy}: {late_s[100]:.3f} s, at most {late_s[-1]:.3f} s late")  # noqa: T201
+        print(f"\n{policy}: {late_s[150]:.3f} s, at most {late_s[-1]:.3f} s late")  # noqa: T201

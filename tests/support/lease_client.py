@@ -1,14 +1,16 @@
 """A child: a controller that keeps one drive running under a lease, until it is killed or stopped.
 
-`python -m support.lease_client SOCKET DRIVE SPEED TIME`. It takes the lease `plc`, enables the
-drive, gives it a speed, prints `running` and renews. When a renewal is refused it tries to move
-the drive with its token once more, prints what that was answered, and ends.
+`python -m support.lease_client WHERE DRIVE SPEED TIME [TOKEN_FILE]`, WHERE a socket or a URL. It
+takes the lease `plc`, enables the drive, gives it a speed, prints `running` and renews. When a
+renewal is refused it tries to move the drive with its token once more, prints what that was
+answered, and ends.
 """
 
 from __future__ import annotations
 
 import sys
 import time
+from pathlib import Path
 from threading import Thread
 
 import httpx2
@@ -21,8 +23,8 @@ RENEWALS = 5
 
 def main() -> None:
     """Run until a renewal is refused."""
-    socket, drive, speed, time_s = sys.argv[1:]
-    with connected(socket) as client, connected(socket) as other:
+    where, drive, speed, time_s, *token_file = sys.argv[1:]
+    with connected(where, *token_file) as client, connected(where, *token_file) as other:
         lease = "/v1/leases/plc"
         asked = {"targets": [drive], "time": f"{time_s}s", "counter": 0}
         token = client.put(lease, json=asked).raise_for_status().json()["token"]
@@ -38,9 +40,12 @@ def main() -> None:
         say(moved(other, drive, float(speed)))
 
 
-def connected(socket: str) -> httpx2.Client:
+def connected(where: str, token_file: str = "") -> httpx2.Client:
     """Return a connection to the daemon."""
-    transport = httpx2.HTTPTransport(uds=socket)
+    if token_file:
+        bearer = {"Authorization": f"Bearer {Path(token_file).read_text().strip()}"}
+        return httpx2.Client(base_url=where, headers=bearer, timeout=60.0)
+    transport = httpx2.HTTPTransport(uds=where)
     return httpx2.Client(transport=transport, base_url="http://lecombus", timeout=30.0)
 
 
