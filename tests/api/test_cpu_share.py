@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Callable
 from itertools import pairwise
 
@@ -124,17 +125,32 @@ async def test_the_longest_piece_keeps_nobody_waiting_for_ever() -> None:
     assert begun[0] - began_s >= LONGEST_REST_S - 0.01
 
 
-async def test_connections_opened_without_end_do_not_take_all_turns() -> None:
-    """Each opening postpones the next turn, but not beyond some milliseconds after the last."""
-    begun: list[int] = []
-    share, now = CpuShare(0.2, Processor()), asyncio.get_running_loop().time
-    for number in range(5):
-        share.take("client", lambda number=number: begun.append(number))  # type: ignore[misc]
-    end_s = now() + 5.0
-    while len(begun) < 5 and now() < end_s:
-        share.spend_opening(0.0002)
-        await asyncio.sleep(0)
-    assert len(begun) == 5
+async def test_connections_opened_without_end_and_clients_have_turns_by_turns() -> None:
+    begun: list[str] = []
+    share = CpuShare(1.0, Processor())
+
+    def opened() -> None:
+        begun.append("opened")
+        if begun.count("opened") < 4:
+            share.open(opened)
+
+    share.open(opened)
+    for _ in range(2):
+        share.take("client", lambda: begun.append("client"))
+    await until(lambda: len(begun) == 6)
+    assert begun == ["opened", "client", "opened", "client", "opened", "opened"]
+
+
+async def test_what_is_counted_postpones_the_next_turn_also_after_an_error() -> None:
+    processor, begun = Processor(), list[float]()
+    share, now = CpuShare(0.5, processor), asyncio.get_running_loop().time
+    began_s = now()
+    with contextlib.suppress(ValueError), share.counting():
+        processor.used_s += 0.02
+        raise ValueError
+    share.open(lambda: begun.append(now()))
+    await until(lambda: bool(begun))
+    assert begun[0] - began_s >= 0.04 - 1e-6
 
 
 class Waiting:

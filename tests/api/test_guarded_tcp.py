@@ -251,10 +251,10 @@ async def test_half_handshakes_do_not_lock_out_a_client(
         async with door.client("plc") as client:
             assert (await client.get("/v1/line")).status_code == 200
             for _ in range(300):
-                one = socket.create_connection(door.place)
-                one.send(b"\x16\x03\x01\x02\x00")
+                one = await asyncio.to_thread(socket.create_connection, door.place)
+                with contextlib.suppress(OSError):  # it was one too many
+                    one.send(b"\x16\x03\x01\x02\x00")
                 half.append(one)
-                await asyncio.sleep(0)
             assert (await client.post("/v1/stop", json=STOP)).status_code == 200
         async with door.client("plc") as late:
             assert (await late.get("/v1/line")).status_code == 200

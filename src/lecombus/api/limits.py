@@ -50,6 +50,7 @@ __all__ = [
     "TARGET_BYTES",
     "TARGET_TOO_LONG",
     "TCP_LIMIT",
+    "TCP_UNBEGUN_LIMIT",
     "TCP_WAITING_LIMIT",
     "TOKENS_TCP_LIMIT",
     "TOO_MANY_HEADERS",
@@ -136,9 +137,12 @@ TCP_GAP_S: Final = 0.5
 the schedule allows."""
 
 ACCEPT_AT_ONCE: Final = 16
-"""Connections the Unix socket takes before the loop does anything else; TCP takes one."""
+"""Connections the Unix socket takes before the loop does anything else."""
 
-KEPT_FILES: Final = 32 + 8 * ACCEPT_AT_ONCE
+TCP_UNBEGUN_LIMIT: Final = 64
+"""Connections over TCP that were taken from the kernel and have not begun."""
+
+KEPT_FILES: Final = 32 + 8 * ACCEPT_AT_ONCE + TCP_UNBEGUN_LIMIT
 """Open files left for the port, sockets and logs, and for connections of two listeners that were
 taken but not counted yet, or cut but not closed yet: about four rounds of the loop."""
 

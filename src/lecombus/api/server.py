@@ -12,6 +12,7 @@ What must not live here: paths and answers.
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import grp
 import os
@@ -44,6 +45,7 @@ from lecombus.api.limits import (
     connection_limit,
 )
 from lecombus.api.tcp_connection import CpuShare, TcpConnection, fairest, timed
+from lecombus.api.tcp_listener import TcpListener
 from lecombus.api.tls import TlsContexts
 from lecombus.api.tls_connection import TlsConnection
 from lecombus.api.token_access import AllowedHosts, FailureCount, TokenAccess
@@ -113,6 +115,45 @@ class DaemonServer(uvicorn.Server):
             one.listen(BACKLOG)
 
 
+class TcpServer(DaemonServer):
+    """A uvicorn server whose connections are taken in the share of TCP.
+
+    Args:
+        config: How it serves.
+        share: The share of the loop's time.
+        has_tls: Whether its clients speak TLS.
+    """
+
+    def __init__(self, config: uvicorn.Config, share: CpuShare, *, has_tls: bool) -> None:
+        super().__init__(config)
+        self._share = share
+        self._has_tls = has_tls
+        self._listeners: list[TcpListener] = []
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to take connections."""
+        await super().startup([])
+        for one in sockets or ():
+            listener = TcpListener(
+                one, self._share, self._make_connection, speaks_first=not self._has_tls
+            )
+            listener.begin()
+            self._listeners.append(listener)
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Take no more connections, and end those that are open."""
+        for listener in self._listeners:
+            listener.close()
+        await super().shutdown(sockets)
+
+    def _make_connection(self) -> asyncio.BaseProtocol:
+        kind: Any = self.config.http_protocol_class
+        made: asyncio.BaseProtocol = kind(
+            config=self.config, server_state=self.server_state, app_state=self.lifespan.state
+        )
+        return made
+
+
 async def serve(
     app: ASGIApp,
     socket_path: Path,
@@ -141,8 +182,7 @@ async def serve(
         if http is not None:
             tcp = resources.enter_context(tcp_socket(*http, is_guarded=doors.is_guarded))
             bound = (http[0], tcp.getsockname()[1])
-            configured = tcp_configuration(app, http[0], places, doors)
-            listeners.append((DaemonServer(configured), tcp))
+            listeners.append((tcp_server(app, http[0], places, doors), tcp))
         task_status.started(Served(socket_path, bound))
         await run_until_cancelled(listeners)
 
@@ -174,13 +214,11 @@ async def close_when_cancelled(listeners: list[DaemonServer]) -> None:
 def unix_configuration(app: ASGIApp, places: ConnectionPlaces) -> uvicorn.Config:
     """Return how the Unix socket is served."""
     kind = type("PlacedConnection", (HttpConnection,), {"places": places, "starts": StartQueue()})
-    return configuration(OwnPagesAccess(RequestLimiter(app)), kind, ACCEPT_AT_ONCE)
+    return configuration(OwnPagesAccess(RequestLimiter(app)), kind)
 
 
-def tcp_configuration(
-    app: ASGIApp, host: str, places: ConnectionPlaces, doors: Doors
-) -> uvicorn.Config:
-    """Return how TCP is served: all of it in one share of the loop's time."""
+def tcp_server(app: ASGIApp, host: str, places: ConnectionPlaces, doors: Doors) -> TcpServer:
+    """Return what serves TCP: all of it in one share of the loop's time."""
     share = CpuShare() if doors.tokens is None else CpuShare(choose=fairest)
     known: dict[str, Any] = {"places": places, "share": share}
     limited = RequestLimiter(PacedLineRequests(app), TCP_LIMIT, TCP_WAITING_LIMIT)
@@ -195,10 +233,11 @@ def tcp_configuration(
     base: type[TcpConnection] = TcpConnection
     if doors.tls is not None:
         base, known["contexts"] = TlsConnection, doors.tls
-    return configuration(timed(access, share), type("PlacedTcpConnection", (base,), known), 1)
+    configured = configuration(timed(access, share), type("PlacedTcpConnection", (base,), known))
+    return TcpServer(configured, share, has_tls=doors.tls is not None)
 
 
-def configuration(app: ASGIApp, kind: type[HttpConnection], accept_at_once: int) -> uvicorn.Config:
+def configuration(app: ASGIApp, kind: type[HttpConnection]) -> uvicorn.Config:
     """Return uvicorn's configuration; what lecombus does itself or does not offer is off."""
     return uvicorn.Config(
         dated(app),
@@ -211,7 +250,7 @@ def configuration(app: ASGIApp, kind: type[HttpConnection], accept_at_once: int)
         server_header=False,
         date_header=False,  # uvicorn's is the time at which the request came
         http=kind,
-        backlog=accept_at_once,
+        backlog=ACCEPT_AT_ONCE,
         timeout_keep_alive=60,
         timeout_graceful_shutdown=CLOSE_S,
     )

@@ -23,14 +23,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import math
 import select
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Coroutine, Generator
+from collections.abc import Callable, Collection, Coroutine, Generator, Iterator
 from contextvars import copy_context
-from functools import partial
-from typing import Any, Final, Self
+from functools import partial, wraps
+from typing import Any, Final, Self, TypeVar, cast
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
@@ -71,11 +70,18 @@ LINGER_S: Final = 1.0
 DROPPED_LIMIT: Final = 64 * 1024
 """Bytes that it may send in that time."""
 
-LONGEST_OPENING_REST_S: Final = 0.02
-"""From one turn to the next, however many connections are opened."""
+Method = TypeVar("Method", bound=Callable[..., Any])
 
-OPENING_S: Final = 0.0002
-"""Processor time that taking a connection and ending it costs, about."""
+
+def counted(method: Method) -> Method:
+    """Count the processor time of what the loop calls of a connection in the share of TCP."""
+
+    @wraps(method)
+    def count(self: TcpConnection, *given: Any) -> Any:
+        with self.share.counting():
+            return method(self, *given)
+
+    return cast(Method, count)
 
 
 def without_token(scope: Scope) -> None:
@@ -159,9 +165,9 @@ class TcpConnection(HttpConnection, asyncio.BufferedProtocol):
     """Gives the valid token of a request."""
     pending_limit = TCP_PENDING_LIMIT
 
+    @counted
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Take the connection; called by the loop."""
-        self.share.spend_opening(OPENING_S)
         self._dropped = 0
         self._progress = self._progress_seen = 0
         super().connection_made(self._lingering(transport))
@@ -175,6 +181,7 @@ class TcpConnection(HttpConnection, asyncio.BufferedProtocol):
         """Return the client."""
         return Actor("tcp", client="" if self.client is None else ":".join(map(str, self.client)))
 
+    @counted
     def connection_lost(self, exc: Exception | None) -> None:
         """Give the place back; called by the loop."""
         self.share.forget(self)
@@ -186,6 +193,7 @@ class TcpConnection(HttpConnection, asyncio.BufferedProtocol):
         """Return where bytes are read to; called by the loop."""
         return self.buffer
 
+    @counted
     def buffer_updated(self, nbytes: int) -> None:
         """Take the bytes that were read; called by the loop."""
         self.data_received(bytes(self.buffer[:nbytes]))
@@ -286,6 +294,9 @@ def fairest(waiting: Collection[Any]) -> object:
 class CpuShare:
     """Begins one piece after the other, and rests in between.
 
+    Taking a new connection is a piece too. While clients wait, it has every second turn: neither
+    can a flood of connections keep clients waiting, nor clients a new connection.
+
     Args:
         part: How much of the loop's time all pieces together may take, 0 to 1.
         clock: The processor time of this thread, seconds.
@@ -301,14 +312,25 @@ class CpuShare:
         self._part = part
         self._clock = clock
         self._choose = choose
-        self._turn_at_s = -math.inf  # when a piece began last, by the loop's clock
         self._waiting: dict[object, deque[Callable[[], None]]] = {}  # by client, the next one first
+        self._opening: Callable[[], None] | None = None  # takes the next connection
+        self._has_opened = False  # the last turn was that of a new connection
         self._free_at_s = 0.0  # by the loop's clock
         self._called: asyncio.Handle | None = None
 
     def take(self, client: object, begin: Callable[[], None]) -> None:
         """Begin something for a client in its turn, never before this returns."""
         self._waiting.setdefault(client, deque()).append(begin)
+        if self._called is None:
+            self._call()
+
+    def open(self, take: Callable[[], None]) -> None:
+        """Take a new connection in its turn, never before this returns.
+
+        Args:
+            take: Takes it. There is one at a time.
+        """
+        self._opening = take
         if self._called is None:
             self._call()
 
@@ -322,13 +344,14 @@ class CpuShare:
         free_at_s = max(self._free_at_s, now_s) + seconds / self._part
         self._free_at_s = min(free_at_s, now_s + LONGEST_REST_S)
 
-    def spend_opening(self, seconds: float) -> None:
-        """Count what taking a connection used: without end, they must not take all turns."""
-        now_s = asyncio.get_running_loop().time()
-        free_at_s = max(self._free_at_s, now_s) + seconds / self._part
-        self._free_at_s = max(
-            self._free_at_s, min(free_at_s, self._turn_at_s + LONGEST_OPENING_REST_S)
-        )
+    @contextlib.contextmanager
+    def counting(self) -> Iterator[None]:
+        """Count the processor time of what is done inside."""
+        began_s = self._clock()
+        try:
+            yield
+        finally:
+            self.spend(self._clock() - began_s)
 
     def _call(self) -> None:
         loop = asyncio.get_running_loop()
@@ -339,18 +362,23 @@ class CpuShare:
 
     def _next(self) -> None:
         self._called = None
-        if self._waiting and self._free_at_s <= asyncio.get_running_loop().time():
-            self._turn_at_s = asyncio.get_running_loop().time()
-            began_s = self._clock()
-            try:
+        if self._is_wanted and self._free_at_s <= asyncio.get_running_loop().time():
+            with self.counting():
                 self._pop()()
-            finally:
-                self.spend(self._clock() - began_s)
-        if self._waiting and self._called is None:
+        if self._is_wanted and self._called is None:
             self._call()
+
+    @property
+    def _is_wanted(self) -> bool:
+        return bool(self._waiting) or self._opening is not None
 
     def _pop(self) -> Callable[[], None]:
         """Take the next client's first piece; its other pieces wait behind the other clients."""
+        opening = self._opening
+        self._has_opened = opening is not None and not (self._waiting and self._has_opened)
+        if opening is not None and self._has_opened:
+            self._opening = None
+            return opening
         client = self._choose(self._waiting.keys())
         asked = self._waiting.pop(client)
         begin = asked.popleft()

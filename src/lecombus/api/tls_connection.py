@@ -13,7 +13,7 @@ import contextlib
 import ssl
 from typing import Any, Final
 
-from lecombus.api.tcp_connection import LingeringTransport, TcpConnection
+from lecombus.api.tcp_connection import LingeringTransport, TcpConnection, counted
 from lecombus.api.tls import Handshake, Step, TlsContexts
 
 __all__ = ["HANDSHAKE_S", "TlsConnection", "TlsTransport"]
@@ -94,6 +94,7 @@ class TlsConnection(TcpConnection):
         self._handshake_end.cancel()
         super().connection_lost(exc)
 
+    @counted
     def buffer_updated(self, nbytes: int) -> None:
         """Take the bytes that were read; called by the loop."""
         sealed = bytes(self.buffer[:nbytes])
@@ -127,6 +128,7 @@ class TlsConnection(TcpConnection):
             self._sealed.clear()
             self._tls.step().add_done_callback(self._stepped)
 
+    @counted
     def _stepped(self, ended: asyncio.Future[Step]) -> None:
         self._is_stepping = False
         if ended.cancelled():
