@@ -190,7 +190,7 @@ async def test_a_client_with_a_valid_token_keeps_its_place_beside_many_addresses
 
 @pytest.mark.parametrize(
     ("files", "limit"),
-    [(64, 8), (256, 96), (1024, 640), (1 << 20, 640), (resource.RLIM_INFINITY, 640)],
+    [(64, 8), (256, 64), (1024, 640), (1 << 20, 640), (resource.RLIM_INFINITY, 640)],
 )
 def test_the_limit_leaves_open_files_for_the_line(
     monkeypatch: pytest.MonkeyPatch, files: int, limit: int

@@ -139,7 +139,7 @@ the schedule allows."""
 ACCEPT_AT_ONCE: Final = 16
 """Connections the Unix socket takes before the loop does anything else."""
 
-TCP_UNBEGUN_LIMIT: Final = 64
+TCP_UNBEGUN_LIMIT: Final = 32
 """Connections over TCP that were taken from the kernel and have not begun."""
 
 KEPT_FILES: Final = 32 + 8 * ACCEPT_AT_ONCE + TCP_UNBEGUN_LIMIT
