@@ -13,9 +13,8 @@ import httpx2
 import pytest
 from starlette.applications import Starlette
 
-from lecombus.api.app import known_error
+from lecombus.api.error_answers import ERROR_ANSWERS
 from lecombus.api.journal_routes import JournalRoutes
-from lecombus.errors import LecombusError
 from lecombus.journal.journal import Journal
 from openapi.answer_models import JournalDocument, VerifiedDocument
 
@@ -27,7 +26,8 @@ GROUPS = {"all": SimpleNamespace(members=("a", "b")), "one": SimpleNamespace(mem
 def client_of(journal: Journal | None) -> httpx2.AsyncClient:
     ops: Any = SimpleNamespace(context=SimpleNamespace(groups=GROUPS))
     app = Starlette(
-        routes=JournalRoutes(journal, ops).routes(), exception_handlers={LecombusError: known_error}
+        routes=JournalRoutes(journal, ops).routes(),
+        exception_handlers=ERROR_ANSWERS,
     )
     transport = httpx2.ASGITransport(app=app)
     return httpx2.AsyncClient(transport=transport, base_url="http://localhost")

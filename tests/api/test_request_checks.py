@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from lecombus.api import decimal_json, request_checks
+from lecombus.api import decimal_json, request_checks, request_models
 from lecombus.api.answers import RefusedRequestError
 from lecombus.api.limits import BODY_LIMIT
-from lecombus.api.request_checks import AcceptBody, Body, DriveWriteBody, SpeedBody, StopBody
+from lecombus.api.request_models import AcceptBody, Body, DriveWriteBody, SpeedBody, StopBody
 
 MODELS = (DriveWriteBody, StopBody, SpeedBody, AcceptBody)
 
@@ -112,4 +112,4 @@ def test_keys_that_stand_twice_deep_in_a_stop_are_not_looked_for(
 
 def test_a_duration_is_looked_at_only_if_it_can_be_one() -> None:
     with pytest.raises(ValueError, match="a duration such as"):
-        request_checks.seconds_of("1" * 5000 + "s")
+        request_models.seconds_of("1" * 5000 + "s")

@@ -21,7 +21,7 @@ from starlette.applications import Starlette
 from starlette.routing import Route
 
 import lecombus.api
-from lecombus.api import request_checks as bodies
+from lecombus.api import request_models as bodies
 from lecombus.api.answers import PROBLEM_TYPE, STATUS_BY_KIND
 from lecombus.api.event_routes import EVENTS_TYPE
 from lecombus.api.idempotency import KEY_CHARS

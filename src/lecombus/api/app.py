@@ -1,12 +1,12 @@
-"""The HTTP application: all routes, stops first, and what an error becomes.
+"""The HTTP application: all routes, stops first.
 
 Strategy: Starlette finds the route. Answers are plain responses, so that no request holds the event
-loop for long. Every error becomes a problem document here. A request that was
-begun on the line runs to its end also when its client goes away; a write that was not sent by then
-is withdrawn. Of the routes themselves only `/metrics`, `/healthz`,
-`/readyz` and `/openapi.json` stand here.
+loop for long. A request that was begun on the line runs to its end also when its client goes away;
+a write that was not sent by then is withdrawn. Of the routes themselves only `/metrics`,
+`/healthz`, `/readyz` and `/openapi.json` stand here.
 
-What must not live here: sockets (`server`), checks of requests (`request_checks`).
+What must not live here: sockets (`server`), checks of requests (`request_checks`), what errors
+become (`error_answers`).
 """
 
 from __future__ import annotations
@@ -14,20 +14,17 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Awaitable, Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Final
 
 from starlette.applications import Starlette
-from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import Response
-from starlette.routing import Match, Route
+from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from lecombus.api.answers import JSON_TYPE, ProblemDocument, problem_of, status_response
-from lecombus.api.decimal_json import short
+from lecombus.api.answers import JSON_TYPE, status_response
+from lecombus.api.error_answers import ERROR_ANSWERS
 from lecombus.api.event_readers import EventReaders
 from lecombus.api.event_routes import EventRoutes
 from lecombus.api.idempotency import Idempotency
@@ -39,18 +36,13 @@ from lecombus.api.scopes import guarded
 from lecombus.api.write_routes import StopRoutes, WriteRoutes
 from lecombus.config import RosterChanges
 from lecombus.drive_state.store import Store
-from lecombus.errors import LecombusError
 from lecombus.journal.journal import Journal
 from lecombus.journal.kept import KeyRow
 from lecombus.metrics import OPENMETRICS_TYPE, TEXT_TYPE, Metrics, wants_openmetrics
 from lecombus.operations.facade import Operations
 from lecombus.parameters import Json
-from lecombus.schedule import Outcome
 
 __all__ = ["Check", "create_app"]
-
-WRONG_REQUESTS: Final = frozenset((400, 401, 404, 405, 413, 414, 421, 422, 431))
-"""Statuses of a request that is none: what it asks for cannot be written at all."""
 
 Check = Callable[[], tuple[bool, str]]
 """Says whether something is so, and what is or is missing."""
@@ -108,11 +100,7 @@ def create_app(
     app = Starlette(
         routes=guarded(routes, ops, read_only=read_only),
         middleware=[Middleware(with_plain_stop_paths)],
-        exception_handlers={
-            LecombusError: known_error,
-            HTTPException: not_routed,
-            Exception: unexpected_error,
-        },
+        exception_handlers=ERROR_ANSWERS,
     )
     app.router.redirect_slashes = False
     return app
@@ -180,64 +168,3 @@ def openapi_text(version: str) -> bytes:
     document = json.loads(Path(__file__).with_name("openapi.json").read_bytes())
     document["info"]["version"] = version
     return json.dumps(document).encode()
-
-
-async def known_error(request: Request, exc: Exception) -> Response:
-    """Answer with the problem of an error that lecombus raises on purpose."""
-    assert isinstance(exc, LecombusError)
-    place = request.path_params
-    code = "/".join(place[part] for part in ("code", "subcode") if place.get(part))
-    problem = problem_of(exc, drive=short(place.get("drive", "")), code=short(code))
-    if is_write(request) and problem.status not in WRONG_REQUESTS and not problem.outcome:
-        more = {**problem.more, "sent": False}
-        problem = replace(problem, outcome=Outcome.REFUSED.value, more=more)
-    detail = problem.detail
-    for sent in place.values():  # messages quote what was asked for, however long it is
-        detail = detail.replace(str(sent), short(str(sent)))
-    return replace(problem, detail=detail).shortened().response()
-
-
-def is_write(request: Request) -> bool:
-    """Whether a request asks for what ends in an outcome: a write, a verb, another address."""
-    place, method = request.path_params, request.method
-    writes = method == "PUT" and "code" in place
-    return writes or (
-        method == "POST" and ("verb" in place or request.url.path.endswith("/address"))
-    )
-
-
-async def not_routed(request: Request, exc: Exception) -> Response:
-    """Answer a request for a path or with a method that does not exist."""
-    assert isinstance(exc, HTTPException)
-    path = short(request.url.path)
-    if exc.status_code == 405:
-        allowed = ", ".join(allowed_methods(request))
-        method = "GET" if request.method == "HEAD" else request.method  # the answers are the same
-        return ProblemDocument(
-            "wrong-method",
-            f"{short(method)} is not possible on {path}",
-            remedy=f"{allowed} {'are' if ', ' in allowed else 'is'} possible there",
-            headers={"Allow": allowed},
-        ).response()
-    return ProblemDocument(
-        "no-such-path", f"there is nothing at {path}", remedy="paths stand in /openapi.json"
-    ).response()
-
-
-async def unexpected_error(request: Request, exc: Exception) -> Response:
-    """Answer an error that is a mistake in lecombus; it is raised again for the log."""
-    return ProblemDocument(
-        "internal",
-        f"{type(exc).__name__} while answering {short(request.url.path)}",
-        outcome=Outcome.UNKNOWN.value if is_write(request) else "",
-        remedy="this is a mistake in lecombus: please report it with the daemon's log",
-    ).response()
-
-
-def allowed_methods(request: Request) -> list[str]:
-    """Return the methods that the path of a request has."""
-    found: set[str] = set()
-    for route in request.app.routes:
-        if isinstance(route, Route) and route.matches(request.scope)[0] is not Match.NONE:
-            found |= route.methods or set()
-    return sorted(found)

@@ -18,7 +18,8 @@ from starlette.types import Receive, Scope, Send
 
 from lecombus.api.event_readers import OUTLET, EventReaders
 from lecombus.api.limits import EVENTS_PATH
-from lecombus.api.request_checks import EventQuery, read_query, refusal
+from lecombus.api.request_checks import read_query, refusal
+from lecombus.api.request_models import EventQuery
 from lecombus.api.scopes import members_of, reaches, require_target
 from lecombus.drive_state.store import Store
 from lecombus.errors import meant

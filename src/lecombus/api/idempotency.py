@@ -170,7 +170,7 @@ class Idempotency:
             else:
                 self._forget(key)
             return response
-        except Exception:
+        except Exception:  # of any kind: what ended in an error may be asked again
             self._forget(key)
             raise
         finally:

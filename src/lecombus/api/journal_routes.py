@@ -23,7 +23,8 @@ from lecombus.api.answers import (
     text_response,
 )
 from lecombus.api.decimal_json import encode
-from lecombus.api.request_checks import Query, read_query
+from lecombus.api.request_checks import read_query
+from lecombus.api.request_models import Query
 from lecombus.drive_state.readings import rfc3339
 from lecombus.journal.chain import Head
 from lecombus.journal.journal import Journal

@@ -17,7 +17,8 @@ from starlette.routing import Route
 
 from lecombus.api.answers import ProblemDocument, RefusedRequestError, json_response
 from lecombus.api.limits import LEASES_PATH
-from lecombus.api.request_checks import NAME, LeaseBody, read_body, refuse_query
+from lecombus.api.request_checks import read_body, refuse_query
+from lecombus.api.request_models import NAME, LeaseBody
 from lecombus.api.scopes import reaches, require_drives, require_target
 from lecombus.leases import HeldLease
 from lecombus.operations.facade import Operations

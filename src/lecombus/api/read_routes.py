@@ -22,14 +22,8 @@ from starlette.routing import Route
 
 from lecombus.api.answers import ProblemDocument, RefusedRequestError, json_response, text_response
 from lecombus.api.decimal_json import encode
-from lecombus.api.request_checks import (
-    AddressQuery,
-    ValueQuery,
-    WhyQuery,
-    code_of,
-    read_query,
-    refuse_query,
-)
+from lecombus.api.request_checks import code_of, read_query, refuse_query
+from lecombus.api.request_models import AddressQuery, ValueQuery, WhyQuery
 from lecombus.api.scopes import reaches
 from lecombus.drive_state.readings import DriveInfo, json_value
 from lecombus.drive_state.store import Store

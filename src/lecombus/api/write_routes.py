@@ -32,7 +32,8 @@ from lecombus.api.answers import (
 from lecombus.api.decimal_json import short
 from lecombus.api.idempotency import Idempotency, SharedStops, key_mistake, keys_of, time_left_s
 from lecombus.api.limits import STOP_PATH
-from lecombus.api.request_checks import (
+from lecombus.api.request_checks import code_of, read_body, read_stop, refuse_query
+from lecombus.api.request_models import (
     AcceptBody,
     AddressBody,
     DriveWriteBody,
@@ -40,10 +41,6 @@ from lecombus.api.request_checks import (
     SpeedBody,
     VerbBody,
     WriteBody,
-    code_of,
-    read_body,
-    read_stop,
-    refuse_query,
 )
 from lecombus.api.scopes import require_target
 from lecombus.config import RosterChanges, RosterError

@@ -212,7 +212,7 @@ def write_tokens(path: Path, tokens: Sequence[TokenEntry]) -> None:
             file.flush()
             os.fsync(descriptor)
         Path(name).replace(path)
-    except BaseException:
+    except BaseException:  # an interrupt too: the file beside it holds digests
         with contextlib.suppress(FileNotFoundError):
             Path(name).unlink()
         raise
