@@ -269,6 +269,33 @@ def test_a_latched_drive_that_does_not_show_a_stop_of_the_line_takes_no_setpoint
     with_plant(test, roster("8200vector", "hold"))
 
 
+@pytest.mark.parametrize(("code", "value"), [(40, "0"), (135, "H0008")])
+def test_a_plain_write_that_stops_a_latched_drive_waits_for_no_reading(
+    code: int, value: str
+) -> None:
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as first:
+            first.alive = False
+        await anyio.sleep(5.0)
+        client = Client(plant, "next")
+        client.take()
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(client.renewing)
+            before = len(list(plant.line["a"].log))
+            report = None
+            if code == 40:  # no lease is needed for it, and a token does not hold it up
+                report = await client.do(client.ops.write("a", Code(code), value))
+                assert report.outcome.is_good
+            else:
+                refused = await kind_of_refusal(client.do(client.ops.write("a", Code(code), value)))
+                assert refused == "latched"
+            asked = [one for one in list(plant.line["a"].log)[before:] if one.code in (1, 135)]
+            assert not [one for one in asked if one.kind == "read"]
+            client.alive = False
+
+    with_plant(test, roster("8200vector", "hold"))
+
+
 def test_who_controls_a_latched_drive_is_changed_only_to_the_line_and_while_it_is_inhibited() -> (
     None
 ):

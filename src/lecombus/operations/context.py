@@ -223,22 +223,26 @@ class OperationContext:
         state = self.store.state(station.name)
         return 2 if state is DriveState.OFFLINE else int(state is not DriveState.ONLINE)
 
-    async def see_stops(self, drives: Sequence[str], code: Code) -> None:
+    async def see_stops(
+        self, target: str, code: Code, value: Decimal | int | str | None = None
+    ) -> None:
         """Have latched drives show their stops, where a write depends on them (`held_stops`).
 
         Args:
-            drives: The drives that are to be written to.
+            target: The drive or group that is to be written to.
             code: What is to be written; only a setpoint or a setting of control depends on a stop.
+            value: The value; a write that stops drives waits for nothing. None: no such write.
         """
+        group = self.groups.get(target)
         found = [
             drive.station
-            for name in drives
+            for name in ((target,) if group is None else group.members)
             if (drive := self.requests.drives.find(name)) is not None
             and (info := drive.family.info(code)) is not None
             and (info.motion or info.control_source)
             and self.leases.needs_stop_shown(name)
         ]
-        if not found:
+        if not found or (value is not None and self.means_stop(target, code, value)):
             return  # without a pause: what is asked for first is submitted first
         async with anyio.create_task_group() as tasks:
             for station in found:

@@ -87,7 +87,7 @@ class GroupWrites:
         expires_at_s = None if expires_s is None else self._context.clock() + expires_s
         members = self._context.group(group).members
         marks = {name: self._context.stop_mark(name) for name in members}
-        await self._context.see_stops(members, code)
+        await self._context.see_stops(group, code, value)
         stations, wires = self._permitted_all(group, code, value)
         if not all(asks_to_stop(one.family, code, wire)
                    for one, wire in zip(stations, wires, strict=True)):  # fmt: skip

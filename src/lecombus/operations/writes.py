@@ -78,7 +78,7 @@ class Writes:
         station = self._context.station(drive)
         expires_at_s = None if expires_s is None else self._context.clock() + expires_s
         mark = self._context.stop_mark(drive)
-        await self._context.see_stops((drive,), code)
+        await self._context.see_stops(drive, code, value)
         wire = self._context.permissions.permitted(drive, station, code, value, restoring=restoring)
         if not asks_to_stop(station.family, code, wire):
             refuse_for_gone_client(drive)
