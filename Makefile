@@ -4,6 +4,8 @@
 # make check   the part of it that runs no code: lint, format, types, imports
 # make proof   random lines in virtual time, on where it stopped; 1000 hours take some ten
 # make compare  proves that nothing differs from a commit: make compare BASE=fab6b02
+# make fuzz    random bytes, guided by coverage, into every parser (ARGS="roster --seconds 600")
+# make coverage  every branch of the protocol and the schedule is taken by a test, or it fails
 # make bench   the figures of docs, ours and the peers' in one run
 # make wheel   dist/lecombus-*.whl, built offline from the lock
 # make golden  what the program says in tests, written again: tests/*/golden.txt (ARGS="tests/cli")
@@ -14,7 +16,7 @@
 
 ARGS ?=
 
-.PHONY: demo test test-long proof compare check bench golden openapi schema dashboards wheel lock format clean
+.PHONY: demo test test-long proof compare fuzz coverage check bench golden openapi schema dashboards wheel lock format clean
 
 demo:
 	@scripts/venv runtime
@@ -42,6 +44,15 @@ proof:
 compare:
 	@scripts/venv dev
 	@PYTHONPATH=tests .venv/bin/python -m compare --base $(BASE) $(ARGS)
+
+fuzz:
+	@scripts/venv reliability
+	@PYTHONPATH=src:tests .venv/bin/python -m fuzz.run $(ARGS)
+
+coverage:
+	@scripts/venv reliability
+	@.venv/bin/python -m coverage run -m pytest -q -p no:cacheprovider tests/protocol tests/schedule
+	@.venv/bin/python -m coverage report
 
 bench:
 	@scripts/venv bench

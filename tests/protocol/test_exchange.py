@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
@@ -262,6 +263,67 @@ def test_a_multicast_is_sent_when_its_time_is_over_and_nothing_answers_it() -> N
 def test_a_lost_line_ends_the_exchange_at_once() -> None:
     result = begun().lost(T0 + 0.01)
     assert (result.kind, result.ended_s) == (ResultKind.LOST, T0 + 0.01)
+
+
+def test_an_exchange_forgets_the_bytes_of_the_one_before() -> None:
+    exchange = begun()
+    assert trickle(exchange, LATE, 0.02) is None
+    assert exchange.feed(b"x", T0 + 0.045) is None
+    first = given_up(exchange)
+    assert (first.late, first.received, first.others) == (1, b"x", (field_of(OTHER),))
+    exchange.begin(ask(), T0 + 1.0)
+    second = given_up(exchange)
+    assert (second.kind, second.late, second.received, second.others) == (
+        ResultKind.NO_REPLY, 0, b"", (),
+    )  # fmt: skip
+
+
+def test_a_silence_is_looked_for_before_the_deadline_where_it_counts() -> None:
+    exchange = begun(replace(ask(), late_s=0.040))
+    assert exchange.look_s() == pytest.approx(T0 + 0.040), "late from then on"
+    assert exchange.expire(T0 + 0.041) is None
+    assert exchange.look_s() == exchange.deadline_s()
+    exchange = begun()
+    assert exchange.look_s() == exchange.deadline_s(), "nothing counts as late"
+    exchange.feed(b"x", T0 + 0.020)
+    assert exchange.look_s() == pytest.approx(T0 + 0.030), "a pause ends what is foreign"
+
+
+def test_less_may_be_waited_for_unless_the_answer_is_coming_in() -> None:
+    short = replace(ask(), first_byte_s=0.030)
+    exchange = begun()
+    exchange.hasten(short)
+    assert exchange.deadline_s() == pytest.approx(T0 + 0.030)
+    exchange = begun()
+    exchange.feed(ANSWER[:1], T0 + 0.020)
+    exchange.hasten(short)
+    assert exchange.deadline_s() == pytest.approx(T0 + 0.060)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_refusal_leaves_a_known_echo_as_it_is(known: bool) -> None:
+    exchange = begun(echo=True if known else None)
+    assert exchange.feed((SENT if known else b"") + NAK, T0 + 0.020) is None
+    result = given_up(exchange)
+    assert type(result.answer) is NakAnswer
+    assert exchange.echo is known
+
+
+@pytest.mark.parametrize(("looked_s", "thought_s"), [(0.050, 0.050 - ASKED_S), (0.030, None)])
+def test_an_answer_that_may_have_waited_unread_shows_no_time_of_its_own(
+    looked_s: float, thought_s: float | None
+) -> None:
+    exchange = begun(replace(ask(), late_s=0.040))
+    result = exchange.feed(ANSWER, T0 + 0.050, T0 + looked_s)
+    assert result is not None
+    assert result.thought_s == (None if thought_s is None else pytest.approx(thought_s))
+
+
+def test_an_end_after_a_pause_of_the_process_says_by_how_much() -> None:
+    result = begun().expire(T0 + 0.5)
+    assert result is not None
+    assert result.older_by_s == pytest.approx(0.44)
+    assert given_up(begun()).older_by_s == 0.0
 
 
 # ---- echo -----------------------------------------------------------------------------------

@@ -165,3 +165,12 @@ def test_a_token_whose_rights_changed_is_another(tmp_path: Path) -> None:
     assert before is not None
     write_tokens(path, [entry(secret, targets=("feeder",))])
     assert not read_tokens(path).holds(before, NOW_S)
+
+
+def test_brackets_without_end_are_no_tokens(tmp_path: Path) -> None:
+    path = tmp_path / "tokens"
+    path.write_text("[" * 200_000)
+    path.chmod(0o640)
+    with pytest.raises(OperationError, match="it is no JSON") as refused:
+        read_tokens(path)
+    assert refused.value.kind == "tokens"

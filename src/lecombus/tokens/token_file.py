@@ -164,7 +164,7 @@ def read_tokens(path: Path) -> Tokens:
         first = exc.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(part) for part in first["loc"]) or "the document"
         raise refused(path, f"{where}: {first['msg']}", "make tokens by `lecombus token`") from None
-    except ValueError as exc:
+    except (ValueError, RecursionError) as exc:
         raise refused(path, f"it is no JSON ({exc})", "make tokens by `lecombus token`") from None
 
 

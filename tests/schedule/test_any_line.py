@@ -1,0 +1,126 @@
+"""Lines drawn at random, with all that can happen to them in a few seconds.
+
+Each seed is one line. Those named here between them take every way through the schedule that needs
+several things together: a drive that falls silent while it is stopped, is left alone and late,
+measured times for which there is never room, requests that no watchdog leaves room for.
+"""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from lecombus.schedule import Priority, Request
+from lecombus.schedule.watchdog_deadline import FaultHypothesis
+from schedule.world import COST_S, World
+
+P = Priority
+LASTS_S = 12.0
+CALM_S = 60.0
+
+
+class Line:
+    """One line and its clients."""
+
+    def __init__(self, seed: int) -> None:
+        self.draw = draw = random.Random(seed)
+        self.world = world = World()
+        self.names = [f"d{number}" for number in range(draw.choice([2, 3, 5, 8, 12, 20]))]
+        self.asked: list[Request] = []
+        self.repeats: dict[Request, int] = {}
+        world.drives(*self.names)
+        world.after = self._after
+        if draw.random() < 0.7:
+            faults = FaultHypothesis(
+                draw.choice([0, 1, 1]), draw.choice([0.0, 0.05, 0.2, 0.4]),
+                draw.choice([0.0, 0.1, 0.3, 0.5]),
+            )  # fmt: skip
+            world.schedule.expect(faults)
+        feeds = [self._costs() for _ in self.names]
+        round_s = sum(float(str(more.get("cost_s", COST_S))) for more in feeds)
+        base_s = max(draw.choice([0.4, 0.6, 1.0, 1.5, 2.0]), 4 * round_s)  # a roster is refused
+        for name, more in zip(self.names, feeds, strict=True):
+            world.feed(name, base_s * draw.choice([1, 1, 1, 1.2, 2, 3]), **more)
+        for _ in range(draw.randint(2, 6)):
+            world.at(draw.uniform(1.0, 6.0), self._stop)
+            world.at(draw.uniform(1.0, 8.0), self._write)
+            world.at(draw.uniform(1.0, 8.0), self._leave_alone)
+
+    def _costs(self) -> dict[str, object]:
+        draw = self.draw
+        if draw.random() >= 0.3:
+            return {}
+        measured = {"cost_s": draw.choice([0.03, 0.08, 0.15]), "worst_s": draw.choice([0.2, 0.3])}
+        return measured | ({"documented": (0.02, 0.1)} if draw.random() < 0.5 else {})
+
+    def _stop(self) -> None:
+        draw, world, name = self.draw, self.world, self.draw.choice(self.names)
+        if draw.random() < 0.7:
+            world.silent.add(name)
+        if draw.random() < 0.2:
+            world.schedule.park(name, world.now_s, "silent")
+        stop = world.submit(
+            name, P.STOP, yields=draw.random() < 0.4, cost_s=draw.choice([0.02, 0.1, 0.25, 0.5]),
+            worst_s=draw.choice([0.1, 0.3, 0.6, 1.0]),
+        )  # fmt: skip
+        self.asked.append(stop)
+        self.repeats[stop] = draw.randint(1, 12)
+
+    def _after(self, request: Request, reached: bool) -> bool:
+        draw, world = self.draw, self.world
+        if self.repeats.get(request, 0) <= request.attempts:
+            return False
+        if draw.random() < 0.3:
+            world.schedule.hold(request.drive, world.now_s + draw.choice([0.05, 0.3, 0.8]), 0.0)
+        if draw.random() < 0.1:
+            world.silent.discard(request.drive)
+        world.schedule.again(request, world.now_s, world.now_s + draw.choice([0.0, 0.05, 0.2]))
+        return True
+
+    def _write(self) -> None:
+        draw = self.draw
+        documented = draw.choice([None, (0.02, 0.1), (0.02, 0.6)])
+        self.asked.append(
+            self.world.submit(
+                draw.choice(self.names),
+                P.CONTROL,
+                worst_s=draw.choice([0.1, 0.5, 0.9]),
+                documented=documented,
+            )
+        )
+
+    def _leave_alone(self) -> None:
+        draw, world = self.draw, self.world
+        until_s = world.now_s + draw.choice([0.1, 0.5])
+        world.schedule.hold(draw.choice(self.names), until_s, world.now_s)
+
+    def run(self) -> None:
+        world = self.world
+        world.run(LASTS_S)
+        world.silent.clear()
+        for name in self.names:
+            world.schedule.unpark(name, world.now_s)
+        world.run(LASTS_S + CALM_S)
+
+
+@pytest.mark.parametrize("seed", [*range(24), 80, 93, 361])
+def test_every_request_ends_and_every_stop_is_sent_as_often_as_it_is_repeated(seed: int) -> None:
+    line = Line(seed)
+    line.run()
+    world = line.world
+    assert all(request.settled for request in line.asked)
+    assert all(stop.attempts == times for stop, times in line.repeats.items())
+    stats = world.schedule.stats(world.now_s)
+    assert not any(stats.depth.values())
+    late = [name for name, feed in stats.feeds.items() if feed.age_s > 0.95 * feed.time_s]
+    assert late == [], "all are fed again when all answer again"
+
+
+def test_a_line_says_the_same_whenever_it_is_run() -> None:
+    runs = []
+    for _ in range(2):
+        line = Line(7)
+        line.run()
+        runs.append([(sent.at_s, sent.request.drive, sent.reached) for sent in line.world.sent])
+    assert runs[0] == runs[1]
