@@ -23,7 +23,8 @@ from starlette.requests import Request
 
 from lecombus.api.answers import RefusedRequestError
 from lecombus.api.decimal_json import NotJsonError, decode, encode
-from lecombus.api.request_checks import (
+from lecombus.api.request_checks import code_of, read_body, read_stop
+from lecombus.api.request_models import (
     AcceptBody,
     AddressBody,
     Body,
@@ -33,9 +34,6 @@ from lecombus.api.request_checks import (
     SpeedBody,
     VerbBody,
     WriteBody,
-    code_of,
-    read_body,
-    read_stop,
 )
 from lecombus.backups.backup_file import read_backup, write_backup
 from lecombus.config import RosterError, load_roster, parse_roster
