@@ -16,6 +16,7 @@ from lecombus.config import Roster, line_timing
 from lecombus.drives.measured import SlowAnswers
 from lecombus.parameters import Code
 from lecombus.schedule import Cyclic, Outcome, Priority, Request, Schedule, WatchdogFeeding
+from proof.lines import line_of as random_line
 
 from .rosters import line_of
 
@@ -202,3 +203,14 @@ def test_no_exchange_is_promised_to_take_no_time() -> None:
 
 def test_no_promise_is_made_for_what_is_never_begun() -> None:
     assert math.isinf(NO_EXCHANGE.takes_s)
+
+
+def test_a_long_read_beside_different_watchdogs_is_promised_the_time_to_make_room() -> None:
+    """A read of 0.8 s waited 12.763 s on this line, and feeds alone had been promised 12.496 s."""
+    plan = make_plan(random_line(35352, 60.0).roster)
+    assert not plan.room.alike
+    assert plan.room.sure_s < 0.8 < plan.room.most_s
+    waits = {one.name: one for one in plan.waits}
+    assert waits["interactive"].quiet_s > 12.763 + 2 * plan.room.round_s
+    assert waits["interactive"].loaded_s >= waits["interactive"].quiet_s
+    assert waits["control"].loaded_s >= waits["control"].quiet_s

@@ -140,6 +140,8 @@ def _control(ahead: WorkAhead) -> ClassWait:
         quiet_s = response_s(0.0, _lost_s(ahead, ahead.own), _pressing(ahead, quiet_s + own_s))
         text = "the exchange under way, not answered, and feeds that may be due just then"
     loaded_s = response_s(0.0, _lost_s(ahead, ahead.any_exchange), ahead.feeds)
+    room_s = _unsure_room_s(ahead, ahead.control.times.worst_s)
+    quiet_s, loaded_s = max(quiet_s, room_s), max(loaded_s, room_s)
     return ClassWait("control", quiet_s + LATENESS_S, loaded_s + LATENESS_S, own_s, text)
 
 
@@ -148,6 +150,8 @@ def _interactive(ahead: WorkAhead) -> ClassWait:
     once_s = _lost_s(ahead, ahead.own) + turn_s
     quiet_s = response_s(0.0, once_s, _pressing(ahead, once_s + ahead.read.times.worst_s))
     loaded_s = response_s(0.0, _lost_s(ahead, ahead.any_exchange) + turn_s, ahead.feeds)
+    room_s = _unsure_room_s(ahead, ahead.read.times.worst_s)
+    quiet_s, loaded_s = max(quiet_s, room_s), max(loaded_s, room_s)
     return ClassWait(
         "interactive", quiet_s + LATENESS_S, loaded_s + LATENESS_S, ahead.read.takes_s,
         "the exchange under way, not answered, and feeds that may be due just then"
@@ -259,6 +263,18 @@ def _rooms_s(ahead: WorkAhead, turns: int, one_s: float, worst_s: float) -> floa
     if left_s > 0.0:
         rounds = min(rounds, 1.0 + math.ceil((turns * one_s + pressing_s) / left_s))
     return rounds * room.round_s + pressing_s
+
+
+def _unsure_room_s(ahead: WorkAhead, worst_s: float) -> float:
+    """Bound what feeds take before one exchange for which a round of them makes no room for sure.
+
+    Args:
+        ahead: What can go before a request.
+        worst_s: The exchange, not answered, seconds.
+    """
+    if worst_s <= ahead.room.sure_s:
+        return 0.0
+    return _rooms_s(ahead, 0, 0.0, worst_s)
 
 
 def _lateness(ahead: WorkAhead, blocking: Sequence[Blocking], share: float) -> float:
