@@ -72,9 +72,10 @@ def test_a_plc_that_writes_the_same_count_for_ever_gets_no_lease() -> None:
     on_a_bench(test)
 
 
-def test_a_count_that_goes_back_renews_nothing_and_begins_again_after_the_lapse() -> None:
+@pytest.mark.parametrize("count", [500, 40_000, 61_000])
+def test_a_plc_that_counts_from_0_again_renews_nothing_until_the_lapse(count: int) -> None:
     async def test(bench: Bench) -> None:
-        bench.count = 500
+        bench.count = count
         await enabled(bench)
         bench.count, begun_s = 0, anyio.current_time()
         await bench.cycle(LEASE_S + 0.1, Command.ENABLE)

@@ -47,8 +47,9 @@ logger = logging.getLogger(__name__)
 EXPIRES_S: Final = 2.0
 """A command that could not be sent for so long is not sent any more: the PLC has gone on."""
 
-FORWARD: Final = 0x7FFF
-"""A heartbeat that is larger by at most this, modulo 65536, has counted up."""
+FORWARD: Final = 4096
+"""A heartbeat that is larger by at most this, modulo 65536, has counted up. A larger step is that
+of a program that was started again and counts from 0."""
 
 RENEWALS: Final = 8
 """Most renewals within a lease time; a count that comes sooner is not passed on."""

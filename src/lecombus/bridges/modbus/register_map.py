@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum, IntEnum
+from functools import cache
 from typing import Any, Final
 
 from lecombus.drives import Family, OperatingState, family
@@ -271,6 +272,7 @@ class Sources:
     setpoint_unit: str
 
 
+@cache
 def sources_of(of: Family) -> Sources:
     """Return the codes behind the registers of a family, from its data file."""
     speed = of.info(OUTPUT_FREQUENCY)

@@ -114,25 +114,27 @@ class RegisterReader:
             ModbusError: They cannot be read, or one of them cannot.
         """
         words: list[int] = []
+        drives: dict[int, DriveValues] = {}
         at = first
         while at < first + count:
             address, offset = place_of(at)
             register = self._layouts[address == 0].get(offset)
             if register is None or at + register.words > first + count:
                 raise ModbusError(ModbusException.NO_SUCH_REGISTER)
-            words += self._words(address, register)
+            if address and address not in drives:
+                drives[address] = self._values(address)
+            words += words_of(self._number(drives.get(address), register), register.words)
             at += register.words
         return words
 
-    def _words(self, address: int, register: Register) -> Sequence[int]:
-        if address == 0:
-            number = self._line_number(register)
-        else:
-            drive = self.drive_at(address)
-            if drive is None:
-                raise ModbusError(ModbusException.NO_SUCH_REGISTER)
-            number = self._drive_number(drive, register)
-        return words_of(number, register.words)
+    def _values(self, address: int) -> DriveValues:
+        drive = self.drive_at(address)
+        if drive is None:
+            raise ModbusError(ModbusException.NO_SUCH_REGISTER)
+        return DriveValues(drive, self._now())
+
+    def _number(self, drive: DriveValues | None, register: Register) -> int:
+        return self._line_number(register) if drive is None else self._drive_number(drive, register)
 
     # -- the line --------------------------------------------------------------------------------
 
@@ -158,8 +160,7 @@ class RegisterReader:
 
     # -- a drive ---------------------------------------------------------------------------------
 
-    def _drive_number(self, drive: FollowedDrive, register: Register) -> int:
-        values = DriveValues(drive, self._now())
+    def _drive_number(self, values: DriveValues, register: Register) -> int:
         if register.part is Part.FRESH:
             if not self._follower.is_connected:
                 raise ModbusError(ModbusException.LECOMBUS_AWAY)
@@ -170,10 +171,10 @@ class RegisterReader:
                 raise ModbusError(ModbusException.FAILURE)
             return number
         if register.name == "latched":
-            return int(drive.name in latched_drives(self._follower.leases))
+            return int(values.name in latched_drives(self._follower.leases))
         always = values.always(register.name)
         return (
-            self._control.drive_registers(drive.name)[register.name] if always is None else always
+            self._control.drive_registers(values.name)[register.name] if always is None else always
         )
 
 
@@ -186,6 +187,7 @@ class DriveValues:
     """
 
     def __init__(self, drive: FollowedDrive, now_s: float) -> None:
+        self.name = drive.name
         self._drive = drive
         self._now_s = now_s
         self._sources: Sources = sources_of(family(drive.family))
