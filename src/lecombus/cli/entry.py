@@ -61,6 +61,7 @@ COMMANDS: Final[Mapping[str, tuple[str, str]]] = {
     "events": ("events", "Print what happens on the line, as it happens."),
     "journal": ("journal", "Show who did what to which drive, and what happened to them."),
     "token": ("token", "Make, list and revoke the tokens that requests over TCP carry."),
+    "support-bundle": ("support_bundle", "Collect what a maintainer needs, without secrets."),
     "scan": ("scan", "Find the drives on a line, and propose a roster."),
     "bridge": ("bridge_commands", "Run a bridge to another protocol, such as Modbus TCP."),
     "why": ("status", "Say why a drive does not turn, and what to do next."),
