@@ -113,6 +113,7 @@ def test_metrics_are_those_that_are_served() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()
         plant.site.supervision.watch.journal = lambda: JournalFigures(1, 1, True, 0, 0)
+        plant.site.metrics.certificates = lambda: {"certificate": 0.0}
         plant.line["a"].trip(50)
         fault = plant.site.store.drive
         await until(lambda: (one := fault("a").fault) is not None and one.number == 50)

@@ -74,6 +74,9 @@ TICK_S = 1.0
 TOKENS = "tokens"
 """The key of the remark that the file of tokens is not used."""
 
+CERTIFICATE = "certificate"
+"""The key of the remark that a certificate soon expires."""
+
 RELOAD = "reload"
 """The key of the remark that a reload was refused."""
 
@@ -276,8 +279,9 @@ class Daemon:
         )
         http = None if api.http is None else (api.http.host, api.http.port)
         doors = await self._doors(api, runtime)
-        if self._tokens is not None:
-            faces.start_soon(self._tokens.run)
+        for watched in (self._tokens, self._tls):
+            if watched is not None:
+                faces.start_soon(watched.run)
         served = await faces.start(partial(serve, doors=doors), app, Path(api.socket), http)
         logger.info("event=serving socket=%s http=%s", served.socket_path, place(served.http))
 
@@ -292,8 +296,9 @@ class Daemon:
             self._tokens = TokenWatch(Path(api.tokens), time.time, note)
             await self._tokens.look(always=True)
         if api.tls is not None:
-            self._tls = TlsContexts(api.tls)
-            self._tls.use(await self._tls.read())
+            self._tls = tls = TlsContexts(api.tls, partial(runtime.store.note_line, CERTIFICATE))
+            tls.use(await tls.read())
+            runtime.metrics.certificates = lambda: tls.expires
         return Doors(api.socket_group or "", self._tokens, self._tls, api.hosts)
 
     # ---- signals and the service manager ----------------------------------------------------

@@ -187,3 +187,27 @@ def test_the_socket_belongs_to_the_group_of_the_roster(group: str) -> None:
         assert ended.status == 1
         assert f"there is no group {group}" in ended.err
         assert not (folder / "api.sock").exists()
+
+
+def test_a_certificate_that_soon_expires_is_said_until_another_is_read() -> None:
+    metric = "lecombus_tls_certificate_expiry_timestamp_seconds"
+    with site() as made:
+
+        def remarks() -> list[str]:
+            found = made.daemon.get("/v1/line").get("remarks", {})
+            return [one for one in found.values() if "TLS" in one]
+
+        assert remarks() == []
+        (calm_s,) = made.daemon.metric(metric).values()
+        made.made.sign("server", "/CN=localhost", 9)
+        said = lecombus("check", "-c", made.daemon.roster)
+        assert "server.pem: it expires on" in said.out
+        assert made.daemon.cli("reload").status == 0
+        (soon_s,) = made.daemon.metric(metric).values()
+        assert 80 * 86400 < calm_s - soon_s < 82 * 86400
+        assert len(remarks()) == 1
+        assert "in 8 days" in remarks()[0]
+        assert "event=certificate-expires" in made.daemon.log()
+        made.made.sign("server", "/CN=localhost")
+        assert made.daemon.cli("reload").status == 0
+        assert remarks() == []

@@ -30,7 +30,7 @@ class Certificates:
             client_ca=str(self.path("ca.pem")) if client_ca else None,
         )
 
-    def sign(self, name: str, subject: str, days: int = 30) -> None:
+    def sign(self, name: str, subject: str, days: int = 90) -> None:
         """Make a key and a certificate that the authority signed."""
         names = ("-addext", "subjectAltName=DNS:localhost,DNS:drives.example,IP:127.0.0.1")
         signed = ("-CA", self.path("ca.pem"), "-CAkey", self.path("ca.key"))
@@ -47,7 +47,7 @@ class Certificates:
 def make_certificates(folder: Path) -> Certificates:
     """Make an authority, a server and a client."""
     made = Certificates(folder)
-    made._make("ca", "/CN=test authority", 30)
+    made._make("ca", "/CN=test authority", 90)
     made.sign("server", "/CN=localhost")
     made.sign("plc", "/O=Works/CN=plc 1")
     both = made.path("plc.pem").read_text() + made.path("plc.key").read_text()

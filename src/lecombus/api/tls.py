@@ -6,26 +6,39 @@ stays. Connections that are open keep theirs.
 A handshake signs with the private key, up to some milliseconds of processor time (RSA 4096). So
 handshakes are made in a thread, one after the other: the event loop sends telegrams during that.
 There are no sessions to be resumed: each connection shows its certificate.
+
+A certificate in use that soon expires is said by a note and in the log, long before clients refuse
+it.
 """
 
 from __future__ import annotations
 
 import asyncio
+import logging
 import ssl
 import stat
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
+import anyio
 import anyio.to_thread
 
+from lecombus.config.certificate_dates import expiries_of, expiry_text
 from lecombus.errors import OperationError
 from lecombus.roster import TlsEntry
 
-__all__ = ["Handshake", "Step", "TlsContexts", "TlsFileError", "context_of"]
+__all__ = ["Handshake", "ServerTls", "Step", "TlsContexts", "TlsFileError", "context_of"]
+
+logger = logging.getLogger(__name__)
+
+THEN: Final = {"certificate": "clients refuse it then", "client_ca": "its clients are refused then"}
+
+LOOK_S: Final = 12 * 3600.0
+"""From one look at the dates of the certificates to the next."""
 
 CIPHERS: Final = "ECDHE+AESGCM:ECDHE+CHACHA20"
 """For TLS 1.2; those of TLS 1.3 are all good."""
@@ -47,34 +60,79 @@ class TlsFileError(OperationError):
         self.what = what
 
 
+@dataclass(frozen=True, slots=True)
+class ServerTls:
+    """What was read from the files of `api.tls`.
+
+    Args:
+        context: Certificate and rules.
+        expires: Until when the certificates are valid, by the roster's key, Unix seconds.
+    """
+
+    context: ssl.SSLContext
+    expires: Mapping[str, float] = field(default_factory=dict)
+
+
 class TlsContexts:
     """The TLS context that new connections get.
 
     Args:
         entry: Where the certificate is.
+        note: Gets which certificate soon expires, and None when there is none.
+        wall: The time of day, Unix seconds.
     """
 
-    def __init__(self, entry: TlsEntry) -> None:
+    def __init__(
+        self,
+        entry: TlsEntry,
+        note: Callable[[str | None], None] = lambda text: None,
+        wall: Callable[[], float] = time.time,
+    ) -> None:
         self._entry = entry
-        self._current: ssl.SSLContext | None = None
+        self._wall = wall
+        self._note = note
+        self._current: ServerTls | None = None
         self._thread = ThreadPoolExecutor(1, "tls")
 
-    async def read(self) -> ssl.SSLContext:
-        """Return the context of the certificate as it is now; read in a thread.
+    @property
+    def expires(self) -> Mapping[str, float]:
+        """Until when the certificates in use are valid, by the roster's key, Unix seconds."""
+        return {} if self._current is None else self._current.expires
+
+    async def read(self) -> ServerTls:
+        """Return what the files say now; read in a thread.
 
         Raises:
             TlsFileError: A file is wrong.
         """
-        return await anyio.to_thread.run_sync(context_of, self._entry, abandon_on_cancel=True)
+        return await anyio.to_thread.run_sync(server_tls_of, self._entry, abandon_on_cancel=True)
 
-    def use(self, context: ssl.SSLContext) -> None:
+    def use(self, read: ServerTls) -> None:
         """Give new connections another context."""
-        self._current = context
+        self._current = read
+        self.look()
+
+    async def run(self) -> None:
+        """Look at the dates again and again."""
+        while True:
+            await anyio.sleep(LOOK_S)
+            self.look()
+
+    def look(self) -> None:
+        """Say which certificate in use soon expires, in the log and by the note."""
+        said = []
+        for key, expires_s in self.expires.items():
+            if text := expiry_text(expires_s, self._wall()):
+                file = getattr(self._entry, key)
+                logger.warning("event=certificate-expires file=%s reason=%s", file, text)
+                said.append(f"{file}: {text}; {THEN[key]}")
+        remedy = "write another there, then run `lecombus reload`"
+        self._note(f"TLS: {'; '.join(said)} ({remedy})" if said else None)
 
     def begin(self) -> Handshake:
         """Return the handshake of a new connection."""
         assert self._current is not None, "no certificate was read before the server listened"
-        return Handshake(self._current, self._thread)
+        return Handshake(self._current.context, self._thread)
 
     def close(self) -> None:
         """Make no more handshakes."""
@@ -164,6 +222,20 @@ def subject_of(certificate: Any) -> str:
     names = (certificate or {}).get("subject", ())
     short = {"commonName": "CN", "organizationName": "O", "organizationalUnitName": "OU"}
     return ",".join(f"{short.get(key, key)}={value}" for part in names for key, value in part)
+
+
+def server_tls_of(entry: TlsEntry) -> ServerTls:
+    """Return what the files of an entry say.
+
+    Raises:
+        TlsFileError: A file cannot be used.
+    """
+    context = context_of(entry)
+    try:
+        return ServerTls(context, expiries_of(entry))
+    except (OSError, ValueError) as exc:  # OpenSSL takes it, so it is used
+        logger.warning("event=certificate-date-unknown reason=%s", exc)
+        return ServerTls(context)
 
 
 def context_of(entry: TlsEntry) -> ssl.SSLContext:

@@ -9,7 +9,9 @@ What must not live here: rules that refuse (see `checks`).
 
 from __future__ import annotations
 
+import contextlib
 import math
+import time
 from collections.abc import Iterable, Iterator, Sequence
 from operator import itemgetter
 from typing import Final
@@ -25,6 +27,7 @@ from lecombus.capacity.exchange_costs import (
 from lecombus.capacity.watchdog_demand import LONGEST_S, demand_of, least_time_s, smallest
 from lecombus.capacity.watchdog_feasibility import rounded_up
 from lecombus.capacity.work_ahead import feeds_of
+from lecombus.config.certificate_dates import expiries_of, expiry_text
 from lecombus.drives import Verb, WriteClass, family
 from lecombus.durations import format_duration
 from lecombus.fieldbus.costs import LineTiming
@@ -67,6 +70,7 @@ def find_warnings(roster: Roster) -> list[str]:
     found.extend(_unwatched(roster))
     found.extend(_gathered(text for drive in roster.drives for text in _leases(drive)))
     found.extend(_access(roster.api))
+    found.extend(_certificates(roster.api))
     found.extend(_mqtt(roster.mqtt))
     found.extend(_groups(roster))
     found.extend(_gathered(text for drive in roster.drives for text in _watchdog(drive)))
@@ -287,6 +291,16 @@ def _access(api: ApiEntry) -> Iterator[str]:
             f"api.http {api.http} listens in every network that this machine is in; one address "
             "of it may be enough"
         )
+
+
+def _certificates(api: ApiEntry) -> Iterator[str]:
+    """Warn of certificates that soon expire, where their files can be read here."""
+    if api.tls is None:
+        return
+    with contextlib.suppress(OSError, ValueError):  # they may be on another machine
+        for key, expires_s in expiries_of(api.tls).items():
+            if text := expiry_text(expires_s, time.time()):
+                yield f"api.tls.{key} {getattr(api.tls, key)}: {text}"
 
 
 def _mqtt(mqtt: MqttEntry | None) -> Iterator[str]:

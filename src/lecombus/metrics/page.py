@@ -11,7 +11,7 @@ itself and lets other tasks run between them. A scrape never touches the line.
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Final
 
 import anyio
@@ -63,6 +63,8 @@ class Metrics:
         self.counters = Counters(line)
         self.rolling_window = RollingWindow(clock())
         self.snapshot = snapshot
+        self.certificates: Callable[[], Mapping[str, float]] = dict
+        """Gives until when the TLS certificates in use are valid, by the roster's key."""
         self.wanted = False
         self._line = line
         self._store = store
@@ -149,7 +151,13 @@ class Metrics:
         for name in self._store.names():
             drives.render(self._store, name)
             yield
-        blocks = [self._build_info(), *line.blocks, *journal.blocks, *drives.blocks]
+        blocks = [
+            self._build_info(),
+            self._certificates(),
+            *line.blocks,
+            *journal.blocks,
+            *drives.blocks,
+        ]
         for family in self.counters.families():
             block = Block(family.name, family.kind, family.help)
             for part in list(family.parts.values()):
@@ -166,6 +174,13 @@ class Metrics:
             yield
         self._blocks = tuple(blocks)
         self._pages = {}
+
+    def _certificates(self) -> Block:
+        name = "lecombus_tls_certificate_expiry_timestamp_seconds"
+        block = Block(name, "gauge", "Until when a certificate in use is valid, Unix seconds.")
+        for key, expires_s in self.certificates().items():
+            block.add(f'line="{escape(self._line)}",file="{key}"', expires_s)
+        return block
 
     def _build_info(self) -> Block:
         labels = (
