@@ -437,6 +437,9 @@ class Journal:
         if self._file.trouble and self._file.trouble != self._found:
             self._found = self._file.trouble
             logger.warning("event=journal-doubt file=%s reason=%s", self._path, self._found)
+        if self._file.kept:
+            logger.info("event=journal-migrated file=%s kept=%s", self._path, self._file.kept)
+            self._file.kept = ""
         self._say(self.remark)
 
     async def _ask(self, question: Callable[[apsw.Connection], T]) -> T:
