@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import httpx2
 import pytest
+from starlette.responses import Response
+from starlette.types import Receive, Scope, Send
 
-from lecombus.api.access import ReadOnlyAccess
+from lecombus.api.access import OwnPagesAccess, ReadOnlyAccess
+from lecombus.operations.actions import ACTOR
 from support.api_line import Line
 
 pytestmark = pytest.mark.anyio
@@ -40,3 +43,27 @@ async def test_only_the_names_of_this_machine_are_answered_to(
     assert answer.status_code == status
     if status != 200:
         assert "localhost" in answer.json()["remedy"]
+
+
+@pytest.mark.parametrize(
+    ("by", "client"),
+    [
+        ("mqtt", "mqtt"),
+        ("modbus 192.0.2.7:1502", "modbus 192.0.2.7:1502"),
+        ("", ""),
+        ("a" * 61, ""),
+        ('a"b', ""),
+        ("a\\nb", ""),
+    ],
+)
+async def test_a_program_at_the_socket_says_for_whom_it_asks(by: str, client: str) -> None:
+    seen = []
+
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        seen.append(ACTOR.get().client)
+        await Response()(scope, receive, send)
+
+    transport = httpx2.ASGITransport(app=OwnPagesAccess(app))
+    async with httpx2.AsyncClient(transport=transport, base_url="http://x") as asking:
+        await asking.get("/", headers={"Lecombus-By": by})
+    assert seen == [client]

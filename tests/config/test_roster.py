@@ -187,12 +187,12 @@ def test_a_drive_lease_completes_itself_from_the_default() -> None:
     assert belt.lease == LeaseEntry(required=True, time_s=1, on_lapse="hold")
 
 
-def test_what_does_nothing_yet_is_named() -> None:
+def test_no_key_is_left_that_does_nothing() -> None:
     text = roster_with(
         "lease: {required: false}", "mqtt: {host: h, tls: no}", "api: {tokens: /t}",
     ).replace("family: smvector", "family: smvector\n    lease: {}")  # fmt: skip
     roster = parsed(text)
-    assert roster.not_yet_used == ("mqtt",)
+    assert roster.not_yet_used == ()
     assert roster.mqtt is not None
     assert (roster.mqtt.port, roster.mqtt.tls) == (1883, False)
 

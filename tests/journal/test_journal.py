@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import threading
 import time
 from collections.abc import Awaitable, Callable
@@ -95,6 +96,32 @@ def test_an_intent_is_on_the_disk_once_it_was_waited_for(tmp_path: Path) -> None
         )
 
     with_journal(tmp_path / "j", scenario)
+
+
+def test_equal_refusals_have_one_row_with_their_number(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "COUNT_S", 0.2)
+
+    async def scenario(journal: Journal) -> None:
+        for number in range(40):
+            journal.count("write", "ab"[number % 4 == 0], {"code": f"C00{number}"}, "plc")
+        await until(lambda: journal.head.number == 2)
+        rows, _ = await journal.rows_after(after=0, since_ms=0, drives=[], most=500)
+        assert [(one.drive, one.outcome, json.loads(one.fields)) for one in rows] == [
+            ("b", "refused", {"count": "10", "code": "C0036"}),
+            ("a", "refused", {"count": "30", "code": "C0039"}),
+        ]
+        journal.count("write", "a", {}, "plc")  # the end of lecombus loses none
+
+    with_journal(tmp_path / "j", scenario)
+    again: list[int] = []
+
+    async def look(journal: Journal) -> None:
+        again.append(journal.head.number)
+
+    with_journal(tmp_path / "j", look)
+    assert again == [3]
 
 
 def test_what_comes_during_a_transaction_shares_the_next(tmp_path: Path, disk: Disk) -> None:

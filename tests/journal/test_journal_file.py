@@ -19,7 +19,7 @@ from typing import Any
 import apsw
 import pytest
 
-from lecombus.journal import journal_file, reading
+from lecombus.journal import journal_file, migration, reading
 from lecombus.journal.chain import ASKED, Head, Row
 from lecombus.journal.journal_file import (
     APPLICATION_ID,
@@ -291,6 +291,84 @@ def test_a_file_of_a_later_version_is_left_alone(path: Path) -> None:
     with pytest.raises(JournalFileError, match="of version 2"):
         opened(path)
     assert path.read_bytes() == before
+
+
+@pytest.fixture
+def second_version(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(journal_file, "VERSION", 2)
+    steps = {1: "CREATE TABLE marks (name TEXT PRIMARY KEY) STRICT"}
+    monkeypatch.setattr(journal_file, "STEPS", steps)
+    monkeypatch.setattr(migration, "STEPS", steps)
+
+
+def first_version(path: Path) -> bytes:
+    """Write a file of version 1 with two rows, and return what it holds."""
+    file = opened(path)
+    file.write([row(1), row(2)], (), 1)
+    file.close()
+    with plain(path) as db:
+        db.execute("PRAGMA user_version = 1")
+    return path.read_bytes()
+
+
+def test_a_file_of_an_older_version_is_brought_to_this_one_and_kept(
+    path: Path, request: pytest.FixtureRequest
+) -> None:
+    first_version(path)
+    request.getfixturevalue("second_version")
+    file = opened(path)
+    assert file.kept == f"{path}.version-1"
+    assert problem(file) == ""
+    assert len(columns(file, "id")) == 2
+    file.close()
+    with plain(path) as db:
+        assert db.execute("PRAGMA user_version").fetchone() == (2,)
+        assert db.execute("SELECT count(*) FROM marks").fetchone() == (0,)
+    with plain(Path(f"{path}.version-1")) as db:
+        assert db.execute("PRAGMA user_version").fetchone() == (1,)
+        assert db.execute("SELECT count(*) FROM entries").fetchone() == (2,)
+    again = opened(path)
+    assert (again.kept, problem(again)) == ("", "")
+    again.close()
+
+
+def test_the_kept_file_is_one_that_the_older_lecombus_opens(
+    path: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first_version(path)
+    request.getfixturevalue("second_version")
+    opened(path).close()
+    monkeypatch.undo()
+    kept = opened(Path(f"{path}.version-1"))
+    assert problem(kept) == ""
+    assert len(columns(kept, "id")) == 2
+    kept.close()
+
+
+def test_a_file_whose_copy_cannot_be_written_stays_as_it_is(
+    path: Path, request: pytest.FixtureRequest
+) -> None:
+    before = first_version(path)
+    request.getfixturevalue("second_version")
+    (path.parent / f".{path.name}.version-1.new").mkdir()
+    with pytest.raises(JournalFileError):
+        opened(path)
+    assert path.read_bytes() == before
+
+
+def test_a_step_that_fails_leaves_the_file_as_it_is(
+    path: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first_version(path)
+    request.getfixturevalue("second_version")
+    monkeypatch.setattr(migration, "STEPS", {1: "CREATE TABLE marks (a); CREATE TABLE marks (b)"})
+    with pytest.raises(JournalFileError):
+        opened(path)
+    with plain(path) as db:
+        assert db.execute("PRAGMA user_version").fetchone() == (1,)
+        assert db.execute("SELECT count(*) FROM sqlite_schema WHERE name = 'marks'").fetchone() == (
+            0,
+        )
 
 
 def test_another_programs_database_is_left_alone(path: Path) -> None:

@@ -6,12 +6,13 @@ import json
 import logging
 import os
 from pathlib import Path
+from typing import Any
 
 import anyio
 import anyio.lowlevel
 import pytest
 
-from lecombus.saved_state import DriveFacts, Keeping, Moved, State, StateFile
+from lecombus.saved_state import DriveFacts, Keeping, Moved, State, StateFile, state
 from lecombus.saved_state.state import FORMER_MOST, VERSION, NewerStateError, StateFormatError
 
 
@@ -161,6 +162,66 @@ def test_a_file_of_a_later_version_is_neither_used_nor_touched(tmp_path: Path) -
         State.parse(later.encode())
     with pytest.raises(StateFormatError):
         State.parse(b"7")
+
+
+def renamed(document: dict[str, Any]) -> dict[str, Any]:
+    """What a next version may do: version 1 called `drives` otherwise."""
+    return {"version": 2, "drives": document["motors"]}
+
+
+@pytest.fixture
+def second_version(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(state, "VERSION", 2)
+    monkeypatch.setattr(state, "STEPS", {1: renamed})
+
+
+OLD = b'{"version": 1, "motors": {"feeder": {"writes": {"C0012": 7}}}}'
+
+
+@pytest.mark.usefixtures("second_version")
+def test_a_file_of_an_older_version_is_read_and_kept_beside_the_new_one(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "hall.json"
+    path.write_bytes(OLD)
+    with caplog.at_level(logging.INFO):
+        keeping = Keeping(path)
+    assert keeping.state.drive("feeder").writes == {"C0012": 7}
+    assert path.read_bytes() == OLD
+    assert "event=state-migrated" in caplog.text
+    keeping.close()
+    assert json.loads(path.read_bytes())["version"] == 2
+    assert json.loads(path.read_bytes())["drives"]["feeder"]["writes"] == {"C0012": 7}
+    assert (tmp_path / "hall.json.version-1").read_bytes() == OLD
+    caplog.clear()
+    assert Keeping(path).state.drive("feeder").writes == {"C0012": 7}
+    assert "migrated" not in caplog.text
+
+
+@pytest.mark.usefixtures("second_version")
+def test_an_older_file_that_cannot_be_kept_is_neither_used_nor_changed(tmp_path: Path) -> None:
+    path = tmp_path / "hall.json"
+    path.write_bytes(OLD)
+    os.mkfifo(tmp_path / ".hall.json.version-1.new")
+    file = StateFile(path)
+    file.load()
+    assert not file.is_usable
+    assert "cannot be read" in file.trouble
+    assert path.read_bytes() == OLD
+
+
+@pytest.mark.usefixtures("second_version")
+@pytest.mark.parametrize("text", [
+    b'{"version": 1}', b'{"version": 1, "motors": 5}', b'{"version": true, "motors": {}}',
+    b'{"version": 0, "motors": {}}',
+])  # fmt: skip
+def test_a_damaged_file_of_an_older_version_is_set_aside(tmp_path: Path, text: bytes) -> None:
+    path = tmp_path / "hall.json"
+    path.write_bytes(text)
+    file = StateFile(path)
+    file.load()
+    assert "was damaged" in file.trouble
+    assert (tmp_path / "hall.json.damaged-1").read_bytes() == text
 
 
 @pytest.mark.clock

@@ -16,6 +16,7 @@ import pytest
 __all__ = ["missing", "require"]
 
 _PACKAGES = {
+    "mosquitto": "mosquitto",
     "promtool": "prometheus",
     "prometheus": "prometheus",
     "ser2net": "ser2net",

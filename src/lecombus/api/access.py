@@ -39,6 +39,11 @@ RIGHT_HOST: Final = "ask for localhost or 127.0.0.1"
 OWN_SITES: Final = ("none", "same-origin")
 """What `Sec-Fetch-Site` says where a person typed the address, or a page of this server asks."""
 
+BY: Final = b"lecombus-by"
+"""For whom a program at the Unix socket asks, such as a bridge: for the log and the journal."""
+
+BY_RIGHT: Final = re.compile(rb"[A-Za-z0-9][A-Za-z0-9 ._:/-]{0,59}")
+
 CLOSE: Final = {"Connection": "close"}
 
 CROSS_SITE: Final = ProblemDocument(
@@ -118,7 +123,7 @@ def site_problem(
 
 
 class OwnPagesAccess:
-    """Refuses what a browser asks for a page of another origin, through any proxy.
+    """Refuses what a browser asks for a page of another origin; notes for whom a program asks.
 
     Args:
         app: The application behind.
@@ -131,8 +136,12 @@ class OwnPagesAccess:
         """Pass a request on, or refuse it."""
         if scope["type"] == "http" and is_cross_site(scope, "http", "https"):
             await CROSS_SITE.response()(scope, receive, send)
-        else:
-            await self._app(scope, receive, send)
+            return
+        if scope["type"] == "http":
+            by = [value for name, value in scope["headers"] if name == BY]
+            if len(by) == 1 and BY_RIGHT.fullmatch(by[0]):
+                ACTOR.set(replace(ACTOR.get(), client=by[0].decode()))
+        await self._app(scope, receive, send)
 
 
 def is_cross_site(scope: Scope, *schemes: str) -> bool:

@@ -107,6 +107,7 @@ STATUS_BY_KIND: Final[Mapping[str, tuple[int, str]]] = {
     "foreign-host": (421, "Wrong host"),
     "too-many-writes": (429, "Stored parameter written too often"),
     "too-many-failures": (429, "Too many wrong tokens"),
+    "too-many-refusals": (429, "Refused too often"),
     "head-too-big": (431, "Request head too big"),
     "bad-request": (422, "Request not understood"),
     "bad-value": (422, "Value cannot be sent"),

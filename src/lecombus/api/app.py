@@ -32,6 +32,7 @@ from lecombus.api.journal_routes import JournalRoutes
 from lecombus.api.lease_routes import LeaseRoutes
 from lecombus.api.limits import is_stop
 from lecombus.api.read_routes import ReadRoutes
+from lecombus.api.refusals import Refusals
 from lecombus.api.scopes import guarded
 from lecombus.api.write_routes import StopRoutes, WriteRoutes
 from lecombus.config import RosterChanges
@@ -92,7 +93,9 @@ def create_app(
         *StopRoutes(ops).routes(),
         *ReadRoutes(ops, store, facts, plan_facts, clock).routes(),
         *LeaseRoutes(ops).routes(),
-        *WriteRoutes(ops, Idempotency(clock, journal, kept_keys), reload).routes(),
+        *WriteRoutes(
+            ops, Idempotency(clock, journal, kept_keys), Refusals(clock, ops, journal), reload
+        ).routes(),
         *JournalRoutes(journal, ops).routes(),
         *EventRoutes(readers, ops, store).routes(),
         *ServiceRoutes(metrics, ready, healthy, version or "0").routes(),

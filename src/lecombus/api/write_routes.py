@@ -32,6 +32,7 @@ from lecombus.api.answers import (
 from lecombus.api.decimal_json import short
 from lecombus.api.idempotency import Idempotency, SharedStops, key_mistake, keys_of, time_left_s
 from lecombus.api.limits import STOP_PATH
+from lecombus.api.refusals import AskedWrite, Refusals
 from lecombus.api.request_checks import code_of, read_body, read_stop, refuse_query
 from lecombus.api.request_models import (
     AcceptBody,
@@ -64,14 +65,20 @@ class WriteRoutes:
     Args:
         ops: What writes to drives.
         keys: The idempotency keys used.
+        refusals: Counts what is refused.
         reload: Reads the roster again and applies it.
     """
 
     def __init__(
-        self, ops: Operations, keys: Idempotency, reload: Callable[[], Awaitable[RosterChanges]]
+        self,
+        ops: Operations,
+        keys: Idempotency,
+        refusals: Refusals,
+        reload: Callable[[], Awaitable[RosterChanges]],
     ) -> None:
         self._ops = ops
         self._keys = keys
+        self._refusals = refusals
         self._reload = reload
 
     def routes(self) -> list[Route]:
@@ -109,7 +116,8 @@ class WriteRoutes:
             )
             return report_response(report)
 
-        return await self._keys.run(request, raw, act)
+        write = AskedWrite(drive, code, body.value, restoring=bool(body.restore))
+        return await self._keys.run(request, raw, lambda: self._refusals.write("write", write, act))
 
     async def write_group(self, request: Request) -> Response:
         """A write to every member of a group, with an outcome per member."""
@@ -127,7 +135,10 @@ class WriteRoutes:
             )
             return report_response(report)
 
-        return await self._keys.run(request, raw, act)
+        write = AskedWrite(group, code, body.value)
+        return await self._keys.run(
+            request, raw, lambda: self._refusals.write("group-write", write, act)
+        )
 
     async def do(self, request: Request) -> Response:
         """Have a drive do something: enable, inhibit, quick-stop, set-speed or reset-fault.
@@ -156,7 +167,7 @@ class WriteRoutes:
             )
             return report_response(report)
 
-        return await self._keys.run(request, raw, act)
+        return await self._keys.run(request, raw, lambda: self._refusals.verb(drive, verb, act))
 
     async def address(self, request: Request) -> Response:
         """Give a drive another address, find it there, and follow it; answers when that is known.
@@ -171,7 +182,9 @@ class WriteRoutes:
             refuse_for_gone_client(drive)
             return report_response(await self._ops.readdress(drive, body.address))
 
-        return await self._keys.run(request, raw, act)
+        return await self._keys.run(
+            request, raw, lambda: self._refusals.other("readdress-asked", drive, act)
+        )
 
     async def accept(self, request: Request) -> Response:
         """Take the drive that is there for the drive of this name; it may be written to then.
@@ -186,7 +199,9 @@ class WriteRoutes:
             refuse_for_gone_client(drive)
             return json_response(self._ops.accept(drive, body.identity).as_json())
 
-        return await self._keys.run(request, raw, act)
+        return await self._keys.run(
+            request, raw, lambda: self._refusals.other("accept", drive, act)
+        )
 
     async def forget_times(self, request: Request) -> Response:
         """Forget how long a drive was measured to think; manual and roster count from then on.
@@ -200,7 +215,9 @@ class WriteRoutes:
         async def act() -> Response:
             return json_response(self._ops.forget_times(drive).as_json())
 
-        return await self._keys.run(request, raw, act)
+        return await self._keys.run(
+            request, raw, lambda: self._refusals.other("forget-times", drive, act)
+        )
 
     async def reload(self, request: Request) -> Response:
         """Read the roster again and apply it; answers what changed, or every mistake.

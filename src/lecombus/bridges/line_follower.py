@@ -126,6 +126,7 @@ class FollowedDrive:
         reason: Why; empty where nothing needs saying.
         states: What its status words show; None: not known well enough.
         doing: `running`, `stopping`, `stopped`, `enabled` or `unknown`; up to a second behind.
+        motion: The whole summary `motion` of docs/api.md; None: the daemon is away.
         fault: The fault that it shows; None: none that is known.
         remarks: What stands to be said about it, by subject.
         values: By code, `C0050` or `C0039/1`.
@@ -139,6 +140,7 @@ class FollowedDrive:
     reason: str = ""
     states: tuple[str, ...] | None = None
     doing: str = UNKNOWN
+    motion: Mapping[str, Any] | None = None
     fault: Mapping[str, Any] | None = None
     remarks: dict[str, str] = field(default_factory=dict)
     values: dict[str, FollowedValue] = field(default_factory=dict)
@@ -195,6 +197,10 @@ class LineFollower:
         """Return a value by the drive's name and the code (`C0050`, `C0039/1`); None: none."""
         found = self.drives.get(drive)
         return None if found is None else found.values.get(code)
+
+    def period_s(self, drive: str, code: str) -> float | None:
+        """Return how often a code is read, seconds; None: not cyclically, or not known."""
+        return self._periods.get((drive, code))
 
     async def run(self) -> NoReturn:
         """Follow the line until cancelled, also across ends and starts of the daemon."""
@@ -264,11 +270,12 @@ class LineFollower:
         for drive in self.drives.values():
             if drive.state != UNKNOWN:
                 self._states_before[drive.name] = state_of(drive)
-            drive.state, drive.reason, drive.states, drive.doing = UNKNOWN, why, None, UNKNOWN
+            drive.state, drive.reason, drive.states = UNKNOWN, why, None
+            drive.doing, drive.motion = UNKNOWN, None
             for code, value in drive.values.items():
                 drive.values[code] = replace(value, good_until_s=-inf)
         if is_new:
-            logger.warning('event=daemon-away socket=%s reason="%s"', self.socket, why)
+            logger.warning("event=daemon-away socket=%s reason=%s", self.socket, why)
         if is_loss:
             self._give("away", "", {"reason": why})
 
@@ -376,7 +383,8 @@ class LineFollower:
         is_new = name not in self.drives
         drive = self.drives.setdefault(name, FollowedDrive(name))
         drive.address, drive.family = int(document["address"]), str(document["family"])
-        drive.doing = str((document.get("motion") or {}).get("doing") or UNKNOWN)
+        drive.motion = document.get("motion") or {}
+        drive.doing = str(drive.motion.get("doing") or UNKNOWN)
         for one in document.get("values") or ():
             reading = Reading.of(one)
             key = key_of(reading)

@@ -99,21 +99,38 @@ def modbus_command(
         ) from exc  # fmt: skip
 
 
-@bridge_command.command("notify")
+@bridge_command.command("mqtt")
 @roster_option
+@click.option(
+    "--state",
+    "directory",
+    type=click.Path(file_okay=False, path_type=Path),
+    envvar="STATE_DIRECTORY",
+    help="Where events that wait for the broker, and the keys of commands, are kept; default: "
+    "nowhere.",
+)
 @log_options
-def notify_bridge_command(roster: Path, log_level: str, log_format: str) -> int:
-    """Send messages of what happens, as the roster's `notify:` says, until SIGTERM or Ctrl-C.
+def mqtt_command(roster: Path, directory: Path | None, log_level: str, log_format: str) -> int:
+    """Show the line on an MQTT broker, as the roster's `mqtt:` says, until SIGTERM or Ctrl-C.
 
-    Trips, lost drives, a lost line or daemon, missed watchdogs and lapsed leases are sent by
-    command or mail, many in one message: docs/notify.md. `lecombus notify test` tries it.
+    Values stand at the broker for as long as they are fresh. Stops are carried out; other commands
+    need `control: true`: docs/mqtt.md.
     """
-    from lecombus.bridges.notify.bridge import run_bridge
-    from lecombus.cli.notify import notify_of
+    from lecombus.config import load_roster
 
-    line, entry = notify_of(roster)
+    line = load_roster(roster)
+    if line.mqtt is None:
+        remedy = "write the broker into it, such as `mqtt: {host: broker.example}`"
+        raise CommandError(Exit.USAGE, f"{roster} has no key `mqtt`", remedy)
+    bridge = extra("lecombus.bridges.mqtt.bridge", "mqtt", "aiomqtt", "paho")
     set_up_logging(log_level, log_format)
-    return run_until_signal("lecombus-notify", partial(run_bridge, line, entry))
+    if directory is not None:
+        directory.mkdir(parents=True, exist_ok=True, mode=0o700)
+
+    async def work() -> None:
+        await bridge.MqttBridge(line, directory).run()
+
+    return run_until_signal("lecombus-mqtt", work)
 
 
 def show_map(line: Roster, *, as_json: bool, markdown: bool) -> None:
@@ -135,7 +152,7 @@ def show_map(line: Roster, *, as_json: bool, markdown: bool) -> None:
     )
 
 
-def extra(module: str, name: str, library: str) -> Any:
+def extra(module: str, name: str, *libraries: str) -> Any:
     """Import a bridge, whose library may not be installed.
 
     Raises:
@@ -144,9 +161,9 @@ def extra(module: str, name: str, library: str) -> Any:
     try:
         return import_module(module)
     except ModuleNotFoundError as exc:
-        if exc.name is None or exc.name.partition(".")[0] != library:
+        if exc.name is None or exc.name.partition(".")[0] not in libraries:
             raise
-        problem = f"{library} is not installed, which this bridge needs"
+        problem = f"{exc.name} is not installed, which this bridge needs"
         raise CommandError(Exit.FAILED, problem, f"install lecombus[{name}]") from exc
 
 

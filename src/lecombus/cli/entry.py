@@ -63,8 +63,7 @@ COMMANDS: Final[Mapping[str, tuple[str, str]]] = {
     "token": ("token", "Make, list and revoke the tokens that requests over TCP carry."),
     "support-bundle": ("support_bundle", "Collect what a maintainer needs, without secrets."),
     "scan": ("scan", "Find the drives on a line, and propose a roster."),
-    "bridge": ("bridge_commands", "Run a bridge to another protocol, such as Modbus TCP."),
-    "notify": ("notify", "Try the messages that are sent when something happens."),
+    "bridge": ("bridge_commands", "Run a bridge to another protocol: MQTT or Modbus TCP."),
     "why": ("status", "Say why a drive does not turn, and what to do next."),
 }
 """By name, in the order of the help: the module in `cli/` with its `NAME_command`, and the help."""

@@ -31,6 +31,8 @@ from lecombus.client.errors import ProblemError, UnreachableError
 from lecombus.client.finding import knock, no_daemon_at
 
 __all__ = [
+    "BY",
+    "KEY",
     "LEASE_HEADER",
     "AnswerLostError",
     "Connection",
@@ -60,6 +62,9 @@ T = TypeVar("T")
 
 KEY: Final = "idempotency-key"
 ASKED: Final = "lecombus-asked"
+BY: Final = "lecombus-by"
+"""For whom a program asks, such as a bridge; it stands in the log and in the journal."""
+
 LEASE_HEADER: Final = "lecombus-lease"
 
 BROKEN: Final = (httpx2.ReadError, httpx2.WriteError, httpx2.RemoteProtocolError)
@@ -117,15 +122,27 @@ class Connection:
         path: str,
         document: Mapping[str, Json] | None = None,
         headers: Mapping[str, str] | None = None,
+        *,
+        asked_ago_s: float = 0.0,
     ) -> Answer:
         """Ask for something to be done, once; a problem document is an answer too.
+
+        Args:
+            method: The HTTP method.
+            path: The path.
+            document: The body.
+            headers: Further headers, or another `KEY`.
+            asked_ago_s: How long ago it was asked for first, seconds, by one for whom this
+                program asks; it is not carried out if a stop came since.
 
         Raises:
             AnswerLostError: It may have happened; what the daemon said of it is not known.
             UnreachableError: Nothing was sent.
         """
-        asked_s = now_s()
+        begun_s = now_s()
         sent = {KEY: uuid4().hex, **(headers or {})}
+        if asked_ago_s > 0:
+            sent[ASKED] = seconds_text(asked_ago_s)
         try:
             return self.answer_of(await self._send(method, path, document, sent))
         except AnswerLostError as exc:
@@ -133,8 +150,8 @@ class Connection:
                 raise
             lost = exc
         pause_s = FIRST_PAUSE_S
-        while (ago_s := now_s() - asked_s) < self._repeat_for_s:
-            sent[ASKED] = f"{math.ceil(ago_s * 1000) / 1000:.3f}"
+        while (ago_s := now_s() - begun_s) < self._repeat_for_s:
+            sent[ASKED] = seconds_text(asked_ago_s + ago_s)
             try:
                 return self.answer_of(await self._send(method, path, document, sent))
             except UnreachableError as exc:
@@ -322,6 +339,11 @@ async def let_pass(for_s: float) -> None:
 async def block(for_s: float) -> None:
     """Let seconds pass without an event loop."""
     time.sleep(for_s)  # noqa: ASYNC251 - there is no other task
+
+
+def seconds_text(for_s: float) -> str:
+    """Return seconds as `Lecombus-Asked` takes them, never less than they are."""
+    return f"{math.ceil(for_s * 1000) / 1000:.3f}"
 
 
 def problem_error(answer: Answer) -> ProblemError:

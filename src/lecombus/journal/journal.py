@@ -43,6 +43,10 @@ END_S: Final = 3.0
 HEAD_S: Final = 3600.0
 TICK_S: Final = 0.5
 
+COUNT_S: Final = 60.0
+"""Over so long equal things are counted, seconds."""
+COUNTED_MOST: Final = 500
+
 PENDING_MOST: Final = 5000
 BATCH_ROWS: Final = 250
 VERIFY_ROWS: Final = 200
@@ -89,6 +93,15 @@ class Verification:
     problem: str
 
 
+@dataclass(slots=True)
+class _Counted:
+    """Things that one row stands for."""
+
+    begun_s: float
+    count: int
+    fields: Mapping[str, str]
+
+
 class Journal:
     """One line's journal.
 
@@ -122,6 +135,7 @@ class Journal:
         self._timer: asyncio.TimerHandle | None = None
         self._try_at_s = 0.0
         self._failures = self._missed = self._size = 0
+        self._counted: dict[tuple[str, str, str], _Counted] = {}
         self._found = ""
         self._say: Callable[[str | None], None] = lambda text: None
         self.trouble = NOT_OPEN
@@ -170,6 +184,30 @@ class Journal:
             is_vital: It is written into the reserve where the disk is full.
         """
         self._add(Row(kind, drive, fields or {}, self._now_ms(), outcome, None, is_vital))
+
+    def count(self, kind: str, drive: str, fields: Mapping[str, str], who: str) -> None:
+        """Count a refusal of which there are many; one row a minute says how many there were.
+
+        Args:
+            kind: What was refused.
+            drive: The drive or group.
+            fields: What is to be known of it; those of the last one are kept.
+            who: Of whom; others are counted apart.
+        """
+        key = kind, drive, who
+        if key not in self._counted and len(self._counted) >= COUNTED_MOST:
+            self._record_counted(0.0)
+        counted = self._counted.setdefault(key, _Counted(self._clock(), 0, fields))
+        counted.count, counted.fields = counted.count + 1, fields
+
+    def _record_counted(self, after_s: float) -> None:
+        """Record what was counted for so long."""
+        now_s = self._clock()
+        for key, counted in list(self._counted.items()):
+            if now_s - counted.begun_s >= after_s:
+                del self._counted[key]
+                fields = {"count": str(counted.count), **counted.fields}
+                self.record(key[0], key[1], fields, outcome="refused")
 
     def intend(
         self, kind: str, drive: str, fields: Mapping[str, str], *, is_vital: bool = False
@@ -304,6 +342,7 @@ class Journal:
                 self._fail(f"the disk has not taken {self._path} for {HANGS_AFTER_S:.0f} s")
             if self.trouble and since_s is None and now_s >= self._try_at_s:
                 self._flush()
+            self._record_counted(COUNT_S)
             if now_s >= head_at_s:
                 head_at_s = now_s + HEAD_S
                 self.log_head()
@@ -317,6 +356,7 @@ class Journal:
     async def close(self) -> None:
         """Write what is left and close the file; a disk that hangs is not waited for."""
         try:
+            self._record_counted(0.0)
             async with asyncio.timeout(END_S):
                 self._try_at_s = 0.0
                 self._flush()
@@ -437,6 +477,9 @@ class Journal:
         if self._file.trouble and self._file.trouble != self._found:
             self._found = self._file.trouble
             logger.warning("event=journal-doubt file=%s reason=%s", self._path, self._found)
+        if self._file.kept:
+            logger.info("event=journal-migrated file=%s kept=%s", self._path, self._file.kept)
+            self._file.kept = ""
         self._say(self.remark)
 
     async def _ask(self, question: Callable[[apsw.Connection], T]) -> T:

@@ -27,6 +27,7 @@ import apsw
 
 from lecombus.journal.chain import ASKED, FIRST_HASH, Head, Row, hash_of, json_of, one_line
 from lecombus.journal.kept import Fact, KeyRow, keep
+from lecombus.journal.migration import STEPS, bring_to_disk, migrate
 from lecombus.journal.reading import fact, head_in
 
 __all__ = ["FileSpace", "JournalFile", "JournalFileError"]
@@ -99,6 +100,7 @@ class JournalFile:
     Attributes:
         head: The newest row.
         trouble: What was found wrong when it was opened, and was dealt with.
+        kept: The copy of the file of an older version that was opened; empty: it was not.
     """
 
     def __init__(self, path: Path, most_bytes: int) -> None:
@@ -117,6 +119,7 @@ class JournalFile:
         self._frames = 0
         self.head = Head()
         self.trouble = ""
+        self.kept = ""
 
     @property
     def path(self) -> Path:
@@ -181,7 +184,8 @@ class JournalFile:
             self._refuse(NOT_OURS)
         if version > VERSION:
             self._refuse(
-                f"is of version {version}, this lecombus knows {VERSION}: it is left alone"
+                f"is of version {version}, this lecombus knows {VERSION}: it is left alone; "
+                "install the lecombus that wrote it, or name another file by `journal:`"
             )
         if not has_tables:
             db.pragma("page_size", PAGE_BYTES)
@@ -191,6 +195,10 @@ class JournalFile:
         db.set_wal_hook(self._note_frames)  # in place of automatic checkpoints
         if not has_tables:
             self._make(db)
+        elif version < VERSION:
+            if version not in STEPS:
+                self._refuse(f"is of version {version}, which no lecombus wrote")
+            self.kept = str(migrate(db, self.path, version, VERSION))
         if is_new:
             bring_to_disk(self.path.parent)
         found = self.path.stat()
@@ -479,12 +487,3 @@ class JournalFile:
         except OSError as exc:
             self.close()
             raise JournalFileError(f"{self._path} cannot be used: {exc.strerror}") from exc
-
-
-def bring_to_disk(folder: Path) -> None:
-    """Have the name of a new file on the disk."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

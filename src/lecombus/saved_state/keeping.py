@@ -59,6 +59,8 @@ class Keeping:
         self._hangs = ""
         self._say: Callable[[str | None], None] = lambda text: None
         self._saving = threading.Lock()
+        if self._file.kept:
+            logger.info("event=state-migrated file=%s kept=%s", path, self._file.kept)
         if self._file.trouble:
             logger.warning("event=state-not-kept reason=%s", self._file.trouble)
 

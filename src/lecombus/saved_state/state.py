@@ -6,10 +6,11 @@ border: a person or a failing disk may have changed it.
 
 `StateFile` is read once and written whole: the new content goes to a neighbour of the file, is
 brought to the disk (fsync), takes the file's name, and the folder is brought to the disk as well. A
-damaged file is never overwritten: it is set aside under its own name with `.damaged` and a number,
-and said. A file of a later version is left alone, and nothing is kept then; so is what is no
-regular file. Where the path is a link, all this is done where it leads, also when there is nothing
-yet, and the link stays a link; it is checked again each time.
+file of an older version is read as one of this version, and kept beside it. A damaged file is never
+overwritten: it is set aside under its own name with `.damaged` and a number, and said. A file of a
+later version is left alone, and nothing is kept then; so is what is no regular file. Where the path
+is a link, all this is done where it leads, also when there is nothing yet, and the link stays a
+link; it is checked again each time.
 
 Only regular files are opened, never a pipe, a device or a folder. Opening never waits: a pipe
 without a reader would block open() without end, and a device that is given another name
@@ -23,10 +24,10 @@ import errno
 import json
 import os
 import stat
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 
@@ -42,6 +43,9 @@ __all__ = [
 ]
 
 VERSION: Final = 1
+
+STEPS: Final[Mapping[int, Callable[[dict[str, Any]], dict[str, Any]]]] = {}
+"""By version: what makes a document of it one of the next version. Version 1 is the first."""
 
 FORMER_MOST: Final = 100
 """Drives remembered that are not in the roster now: a typing error must not cost their counts."""
@@ -117,13 +121,20 @@ class State:
     Args:
         drives: The facts by the drives' names.
         lease_number: The largest number of a lease so far; none is used twice.
+        version: Of the file that it was read from.
 
     Attributes:
         counted: Called for each write that was counted: drive, code and the count now.
     """
 
-    def __init__(self, drives: dict[str, DriveFacts] | None = None, lease_number: int = 0) -> None:
+    def __init__(
+        self,
+        drives: dict[str, DriveFacts] | None = None,
+        lease_number: int = 0,
+        version: int = VERSION,
+    ) -> None:
         self.lease_number = lease_number
+        self.version = version
         self._drives = drives if drives is not None else {}
         self.changes = 0
         self.counted: Callable[[str, str, int], None] | None = None
@@ -174,6 +185,7 @@ class State:
             NewerStateError: A later version wrote it.
             StateFormatError: It is no state file.
         """
+        version, text = _as_of_now(text)
         try:
             document = _ADAPTER.validate_json(text, strict=True)
         except ValidationError as exc:
@@ -184,7 +196,24 @@ class State:
         if document.version != VERSION:
             _refuse_newer(text)
             raise StateFormatError(f"version: {document.version} was never written")
-        return cls(document.drives, document.lease_number)
+        return cls(document.drives, document.lease_number, version)
+
+
+def _as_of_now(text: bytes) -> tuple[int, bytes]:
+    """Return the version of a file's content, and the content in the form of this version."""
+    try:
+        document = json.loads(text)
+        version = document["version"]
+    except (ValueError, TypeError, LookupError, RecursionError):
+        return VERSION, text
+    if type(version) is not int or version not in STEPS:
+        return VERSION, text
+    for number in range(version, VERSION):
+        try:
+            document = STEPS[number](document) | {"version": number + 1}
+        except (TypeError, ValueError, LookupError, AttributeError):
+            return VERSION, text  # it is damaged, and is refused as such
+    return version, json.dumps(document).encode()
 
 
 def _refuse_newer(text: bytes) -> None:
@@ -194,7 +223,10 @@ def _refuse_newer(text: bytes) -> None:
     except (ValueError, TypeError, KeyError, LookupError, RecursionError):
         return
     if isinstance(version, int) and version > VERSION:
-        raise NewerStateError(f"it is of version {version}, this lecombus knows {VERSION}")
+        raise NewerStateError(
+            f"it is of version {version}, this lecombus knows {VERSION}; install the lecombus that "
+            "wrote it, or name another file by `state:`"
+        )
 
 
 MODE: Final = 0o640
@@ -217,12 +249,14 @@ class StateFile:
     Attributes:
         trouble: What was wrong with it when it was read; empty when all was well.
         is_usable: False where it must not be written at all.
+        kept: The copy of the file of an older version that was read; empty: it was not.
     """
 
     def __init__(self, path: Path | None) -> None:
         self.path = path
         self.trouble = ""
         self.is_usable = path is not None
+        self.kept = ""
 
     def load(self) -> State:
         """Read it; every error ends in `trouble`, never in an exception."""
@@ -304,7 +338,28 @@ class StateFile:
             data = file.read(LARGEST + 1)
         if len(data) > LARGEST:
             raise StateFormatError("it is far too large")
-        return State.parse(data)
+        state = State.parse(data)
+        if state.version != VERSION:
+            self._keep(data, state.version)
+            state.touch()
+        return state
+
+    def _keep(self, data: bytes, version: int) -> None:
+        """Keep the file of an older version beside the one that will take its place.
+
+        Raises:
+            OSError: It cannot be written.
+        """
+        kept = self.target.with_name(f"{self.target.name}.version-{version}")
+        if not kept.exists():
+            neighbour = kept.with_name(f".{kept.name}.new")
+            flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW
+            with os.fdopen(open_regular(neighbour, flags), "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            neighbour.replace(kept)
+        self.kept = str(kept)
 
     def _set_aside(self, path: Path, why: str) -> None:
         names = [path.with_name(f"{path.name}.damaged-{n}") for n in range(1, SET_ASIDE_MOST + 1)]

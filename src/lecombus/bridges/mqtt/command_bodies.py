@@ -1,0 +1,130 @@
+"""What a command says: its payload as the body of an HTTP request, and its time. Pure."""
+
+from __future__ import annotations
+
+import json
+from decimal import Decimal
+from typing import Any, Final
+
+from lecombus.bridges.mqtt.broker import Incoming
+from lecombus.bridges.mqtt.topics import CommandTopic
+from lecombus.client.connection import Json
+from lecombus.durations import LEAST_EXPIRY_S, LONGEST_EXPIRY_S, parse_duration
+
+__all__ = ["RefusedError", "body_of", "busy", "expired", "expiry_of"]
+
+EXPIRES_S: Final = 5.0
+"""How long a command may wait that does not say it."""
+
+
+class RefusedError(Exception):
+    """A command that is not carried out.
+
+    Args:
+        kind: A stable word for programs.
+        reason: Why.
+        remedy: What would be right.
+        outcome: `refused` or `expired`.
+    """
+
+    def __init__(self, kind: str, reason: str, remedy: str = "", outcome: str = "refused") -> None:
+        super().__init__(reason)
+        self.document: dict[str, Json] = {
+            "outcome": outcome, "kind": kind, "reason": reason, "remedy": remedy or None,
+            "sent": False,
+        }  # fmt: skip
+
+
+def busy() -> RefusedError:
+    """Return the refusal of one command too many."""
+    return RefusedError("busy", "too many commands for this drive wait already", "send fewer")
+
+
+def expired(reason: str) -> RefusedError:
+    """Return the refusal of a command whose time is over."""
+    return RefusedError("expired", reason, "send it again if it is still wanted", "expired")
+
+
+def expiry_of(incoming: Incoming, document: dict[str, Json]) -> float:
+    """Return how long a command may wait, seconds; takes its `expires` out of the document.
+
+    Raises:
+        RefusedError: `expires` is no duration, or it is over.
+    """
+    said_s = EXPIRES_S if incoming.expiry_s is None else float(incoming.expiry_s)
+    if (given := document.pop("expires", None)) is not None:
+        try:
+            own_s = parse_duration(given if isinstance(given, str) else f"{given}s")
+        except ValueError as exc:
+            raise bad(f"`expires` is no duration: {str(given)[:60]}") from exc
+        said_s = own_s if incoming.expiry_s is None else min(said_s, own_s)
+    if said_s < LEAST_EXPIRY_S:
+        raise expired("its time was over when it came")
+    return min(said_s, LONGEST_EXPIRY_S)
+
+
+def body_of(topic: CommandTopic, payload: bytes) -> dict[str, Json]:
+    """Return what a payload says: a JSON object, or a plain value.
+
+    Raises:
+        RefusedError: It says nothing that can be meant.
+    """
+    try:
+        text = payload.decode().strip()
+    except UnicodeDecodeError as exc:
+        raise bad("the payload is no text in UTF-8") from exc
+    if text.startswith("{"):
+        return object_of(text)
+    if topic.what == "set":
+        if not text:
+            raise bad("the payload is empty; give the value, such as 35.4")
+        return {"value": number_or_text(text)}
+    if topic.name == "set-speed":
+        number, _, unit = text.partition(" ")
+        if not number or not unit.strip():
+            raise bad('give number and unit, such as `35.4 Hz`, or {"value": 35.4, "unit": "Hz"}')
+        return {"value": number_or_text(number), "unit": unit.strip()}
+    if text not in ("", "PRESS"):
+        raise bad(f"{topic.name} takes no value: send it with an empty payload")
+    return {}
+
+
+def object_of(text: str) -> dict[str, Json]:
+    """Return a JSON object with its decimals exactly; each key once.
+
+    Raises:
+        RefusedError: It is none.
+    """
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        found = dict(pairs)
+        if len(found) < len(pairs):
+            raise ValueError("a key is there twice")
+        return found
+
+    try:
+        found: dict[str, Json] = json.loads(
+            text, parse_float=Decimal, parse_constant=refuse_constant, object_pairs_hook=once
+        )
+    except (ValueError, RecursionError) as exc:
+        raise bad(f"the payload is no JSON object: {exc}") from exc
+    return found
+
+
+def refuse_constant(word: str) -> None:
+    """Refuse NaN and Infinity, which are no JSON."""
+    raise ValueError(f"{word} is no number")
+
+
+def number_or_text(text: str) -> Json:
+    """Return a number where JSON knows it as one, else text as on the wire, such as `H0008`."""
+    try:
+        found = json.loads(text, parse_float=Decimal, parse_constant=refuse_constant)
+    except (ValueError, RecursionError):
+        return text
+    return found if isinstance(found, int | Decimal) and not isinstance(found, bool) else text
+
+
+def bad(reason: str) -> RefusedError:
+    """Return the refusal of a payload."""
+    return RefusedError("bad-value", reason)

@@ -1,0 +1,105 @@
+"""The names of topics, and what a command's topic asks for. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+__all__ = ["CommandTopic", "Topics"]
+
+
+@dataclass(frozen=True, slots=True)
+class CommandTopic:
+    """What the topic of a command says.
+
+    Args:
+        target: A drive or a group.
+        what: `set` (a code) or `do` (a verb).
+        name: The code, such as `C0046` or `C0039/1`; or the verb.
+    """
+
+    target: str
+    what: Literal["set", "do"]
+    name: str
+
+
+class Topics:
+    """The topics of one line.
+
+    Plain values and JSON have topics of their own: who reads one of them with a wildcard must not
+    stumble over the other.
+
+    Args:
+        prefix: The first levels, such as `lecombus`.
+        line: The line's name.
+    """
+
+    def __init__(self, prefix: str, line: str) -> None:
+        self.prefix = prefix
+        self.root = f"{prefix}/{line}"
+
+    @property
+    def line_state(self) -> str:
+        """Whether line, daemon and bridge are there; the broker sets it when the bridge is lost."""
+        return f"{self.root}/state"
+
+    @property
+    def line_event(self) -> str:
+        """What happens to the line."""
+        return f"{self.root}/event"
+
+    @property
+    def pulse(self) -> str:
+        """What shows the bridge that messages come without delay."""
+        return f"{self.root}/pulse"
+
+    def drive_state(self, drive: str) -> str:
+        """`online`, `degraded`, `offline`, `starting` or `unknown`."""
+        return f"{self.root}/{drive}/state"
+
+    def value(self, drive: str, code: str) -> str:
+        """A plain value."""
+        return f"{self.root}/{drive}/value/{code}"
+
+    def json(self, drive: str) -> str:
+        """All of a drive."""
+        return f"{self.root}/{drive}/json"
+
+    def event(self, drive: str) -> str:
+        """What happens to a drive or a group; empty: to the line."""
+        return f"{self.root}/{drive}/event" if drive else self.line_event
+
+    def set(self, target: str, code: str) -> str:
+        """Where a code is written."""
+        return f"{self.root}/{target}/set/{code}"
+
+    def do(self, target: str, verb: str) -> str:
+        """Where a verb is asked for."""
+        return f"{self.root}/{target}/do/{verb}"
+
+    @property
+    def command_filters(self) -> tuple[str, ...]:
+        """What to subscribe to for commands."""
+        return (f"{self.root}/+/set/+", f"{self.root}/+/set/+/+", f"{self.root}/+/do/+")
+
+    def command(self, topic: str) -> CommandTopic | None:
+        """Return what the topic of a command asks for; None: it is none."""
+        if not topic.startswith(f"{self.root}/"):
+            return None
+        target, *rest = topic.removeprefix(f"{self.root}/").split("/")
+        if len(rest) in (2, 3) and rest[0] == "set":
+            return CommandTopic(target, "set", "/".join(rest[1:]))
+        if len(rest) == 2 and rest[0] == "do":
+            return CommandTopic(target, "do", rest[1])
+        return None
+
+    def may_answer(self, topic: str, home_assistant: str | None) -> bool:
+        """Whether an answer may go to a response topic.
+
+        Not into topics of lecombus or of Home Assistant's discovery: there an answer could be
+        taken for a command or for a device, in the name of the bridge.
+        """
+        if not topic or "+" in topic or "#" in topic or topic.startswith("$"):
+            return False
+        reserved = [self.prefix] + ([home_assistant] if home_assistant else [])
+        return not any(topic == one or topic.startswith(f"{one}/") for one in reserved)
