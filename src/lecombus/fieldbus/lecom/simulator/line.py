@@ -479,25 +479,14 @@ def build(
     line = SimLine(
         [
             SimDrive(
-                address,
-                family,
-                name,
-                presets.get(name),
-                spread=spread,
-                log_size=log_size,
-                word_as_written=word_as_written,
-                only_changes=only_changes,
-                digit_of=digit_of,
+                address, family, name, presets.get(name), spread=spread, log_size=log_size,
+                word_as_written=word_as_written, only_changes=only_changes, digit_of=digit_of,
             )
             for name, address, family in drives
         ],
-        baud=baud,
-        faults=parse_faults(faults) if isinstance(faults, str) else faults,
-        seed=seed,
-        parity=parity,
-        paced=paced,
-        think_scale=think_scale,
-    )
+        baud=baud, faults=parse_faults(faults) if isinstance(faults, str) else faults,
+        seed=seed, parity=parity, paced=paced, think_scale=think_scale,
+    )  # fmt: skip
     by_address = {drive.address: drive for drive in line.drives}
     for address, number, stays in line.faults.trips:
         if address not in by_address:
