@@ -89,16 +89,15 @@ class GroupWrites:
         marks = {name: self._context.stop_mark(name) for name in members}
         await self._context.see_stops(group, code, value)
         stations, wires = self._permitted_all(group, code, value)
-        if not all(asks_to_stop(one.family, code, wire)
-                   for one, wire in zip(stations, wires, strict=True)):  # fmt: skip
+        pairs = zip(stations, wires, strict=True)
+        if not all(asks_to_stop(one.family, code, wire) for one, wire in pairs):
             refuse_for_gone_client(group)
         there: Sequence[WriteReport | None] = [None] * len(stations)
         if any(wears(one.family, code) for one in stations):
             there = await self._already_there(
                 stations, code, wires, verify=bool(verify), within_s=expires_s
             )
-            known = [one for one in there if one is not None]
-            if len(known) == len(stations):
+            if len(known := [one for one in there if one is not None]) == len(stations):
                 return group_report(group, "one-by-one", known)
             # They may have changed during the read.
             stations, wires = self._permitted_all(group, code, value)

@@ -82,11 +82,7 @@ class Writes:
         wire = self._context.permissions.permitted(drive, station, code, value, restoring=restoring)
         if not asks_to_stop(station.family, code, wire):
             refuse_for_gone_client(drive)
-        stopped = self._context.requests.stopped_since_asked(drive)
-        outdated = STOPPED if stopped or self._context.is_outdated(drive, mark) else ""
-        if unless_stopped_since is not None:
-            outdated = self._context.why_outdated(drive, unless_stopped_since) or outdated
-        if outdated:
+        if outdated := self._why_outdated(drive, mark, unless_stopped_since):
             return stopped_first(drive, code, outdated)
         if wears(station.family, code):
             there = await self.already_there(
@@ -109,6 +105,15 @@ class Writes:
         )  # fmt: skip
         report = self.report(drive, code, ending, *await ending.wait())
         return await self._context.diagnosis.explain(report, station, wire)
+
+    def _why_outdated(self, drive: str, mark: str, unless_stopped_since: str | None) -> str:
+        """Say why a stop ends the write before it begins; empty: none does."""
+        context = self._context
+        stopped = context.requests.stopped_since_asked(drive) or context.is_outdated(drive, mark)
+        outdated = STOPPED if stopped else ""
+        if unless_stopped_since is not None:
+            outdated = context.why_outdated(drive, unless_stopped_since) or outdated
+        return outdated
 
     async def already_there(
         self,
