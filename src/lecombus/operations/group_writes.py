@@ -107,9 +107,8 @@ class GroupWrites:
             address = None  # one telegram would reach those that were stopped too
         form = None if address is None else self._maker.shared_form(stations, code)
         if address is None or form is None or len({wire.raw for wire in wires}) != 1:
-            waits = self._submit_each(
-                stations, code, wires, there, expires_at_s, verify=bool(verify)
-            )
+            read_back = bool(verify)
+            waits = self._submit_each(stations, code, wires, there, expires_at_s, verify=read_back)
             each = [
                 self._writes.report(one.name, code, wait, *await wait.wait())
                 if isinstance(wait, Ending)
