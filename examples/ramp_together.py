@@ -61,12 +61,11 @@ async def ramp_together(
     async with line.lease("ramp", names, LEASE_S) as lease:
         try:
             for drive in drives:
-                if drive.name not in lease.latched:
-                    (await drive.set_speed(0, "Hz")).check()  # it must not start at an old setpoint
+                if drive.name in lease.latched:
+                    (await drive.quick_stop()).check()  # a latched drive takes a speed only stopped
+                (await drive.set_speed(0, "Hz")).check()  # it must not start at an old setpoint
             for drive in drives:
                 (await drive.enable()).check()
-            # A drive that was latched takes no setpoint before it is enabled.
-            await set_all(drives, 0.0)
             for step in range(1, round(speed_hz / STEP_HZ) + 1):
                 await set_all(drives, min(step * STEP_HZ, speed_hz))
                 await anyio.sleep(STEP_S)
