@@ -50,6 +50,22 @@ def test_systemd_finds_nothing_wrong_with_the_unit(unit: Path) -> None:
     assert complaints(unit) == ""
 
 
+def test_the_unit_of_the_messages_is_right_and_never_stops_its_line(tmp_path: Path) -> None:
+    text = (DEPLOY / "lecombus-notify@.service").read_text()
+    (tmp_path / "lecombus@hall-3.service").write_text("[Service]\nExecStart=/bin/true\n")
+    unit = tmp_path / "lecombus-notify@hall-3.service"
+    unit.write_text(text.replace("/opt/lecombus/bin/lecombus", sys.executable))
+    assert complaints(unit) == ""
+    assert "\nPartOf=lecombus@%i.service\n" in text
+    for stops_it in ("BindsTo=", "Requires=", "Conflicts=", "PropagatesStopTo="):
+        assert stops_it not in text
+    done = run(
+        require("systemd-analyze"), "security", "--offline=yes", "--threshold=14", "--no-pager",
+        unit,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr
+
+
 @pytest.mark.parametrize(
     ("good", "bad"),
     [

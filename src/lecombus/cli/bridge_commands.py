@@ -133,6 +133,23 @@ def mqtt_command(roster: Path, directory: Path | None, log_level: str, log_forma
     return run_until_signal("lecombus-mqtt", work)
 
 
+@bridge_command.command("notify")
+@roster_option
+@log_options
+def notify_bridge_command(roster: Path, log_level: str, log_format: str) -> int:
+    """Send messages of what happens, as the roster's `notify:` says, until SIGTERM or Ctrl-C.
+
+    Trips, lost drives, a lost line or daemon, missed watchdogs and lapsed leases are sent by
+    command or mail, many in one message: docs/notify.md. `lecombus notify test` tries it.
+    """
+    from lecombus.bridges.notify.bridge import run_bridge
+    from lecombus.cli.notify import notify_of
+
+    line, entry = notify_of(roster)
+    set_up_logging(log_level, log_format)
+    return run_until_signal("lecombus-notify", partial(run_bridge, line, entry))
+
+
 def show_map(line: Roster, *, as_json: bool, markdown: bool) -> None:
     """Print which register is where."""
     from lecombus.bridges.modbus.register_map import map_markdown, roster_rows
