@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
+import re
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,11 +13,23 @@ from pathlib import Path
 import httpx2
 import pytest
 
+from lecombus.tokens.secret import new_secret
 from support.certificates import Certificates, client_context, make_certificates
-from support.daemon_host import Daemon, Ran, free_port, lecombus, running, short_dir, until
+from support.daemon_host import (
+    Daemon,
+    Ran,
+    free_port,
+    lecombus,
+    running,
+    short_dir,
+    started,
+    until,
+)
+from support.real_parts import require
 
 pytestmark = pytest.mark.real
 
+SCRAPES = Path(__file__).parents[2] / "deploy" / "prometheus" / "prometheus.yml"
 DRIVES = """
   - {name: feeder, address: 11, family: 8200vector, writable: [C0046, C0135, C0040]}
   - {name: belt, address: 12, family: 8200vector, writable: [C0046]}
@@ -211,3 +225,60 @@ def test_a_certificate_that_soon_expires_is_said_until_another_is_read() -> None
         made.made.sign("server", "/CN=localhost")
         assert made.daemon.cli("reload").status == 0
         assert remarks() == []
+
+
+def by_token(folder: Path, job: str, token: Path, made: Site) -> str:
+    """Return the scrape job with a token that ships, with the names of this test."""
+    text = SCRAPES.read_text().partition("  # - job_name: lecombus-by-token")
+    rows = "".join(text[1:]).splitlines()
+    shipped = "\n".join(row.replace("  # ", "  ", 1) for row in rows if "    # " not in row[5:])
+    for what, here in (
+        ("lecombus-by-token", job), ("/etc/prometheus/lecombus.token", token),
+        ("/etc/prometheus/lecombus-ca.pem", made.made.path("ca.pem")),
+        ("drives.example:9740", made.url.removeprefix("https://")),
+    ):  # fmt: skip
+        assert what in shipped
+        shipped = shipped.replace(what, str(here))
+    return shipped
+
+
+def test_prometheus_scrapes_by_a_token_over_tls_and_not_by_a_wrong_one() -> None:
+    with site() as made:
+        folder, port = made.daemon.folder, free_port()
+        token = made.token("prometheus", "--scope", "metrics")
+        wrong = folder / "wrong.token"
+        wrong.write_text(new_secret() + "\n")
+        jobs = "\n".join(
+            by_token(folder, job, file, made) for job, file in (("right", token), ("wrong", wrong))
+        )
+        config = folder / "prometheus.yml"
+        config.write_text(f"global: {{scrape_interval: 250ms}}\nscrape_configs:\n{jobs}\n")
+        words = [
+            str(require("prometheus")), f"--config.file={config}",
+            f"--storage.tsdb.path={folder / 'data'}", f"--web.listen-address=127.0.0.1:{port}",
+        ]  # fmt: skip
+        base = f"http://127.0.0.1:{port}/api/v1"
+        with (
+            httpx2.Client(base_url=base, trust_env=False) as api,
+            started(words, folder / "prometheus.log", env=dict(os.environ)),
+        ):
+
+            def targets() -> dict[str, tuple[str, str]]:
+                answer = api.get("/targets")
+                found = answer.json()["data"]["activeTargets"] if answer.is_success else []
+                return {one["scrapePool"]: (one["health"], one["lastError"]) for one in found}
+
+            until(
+                lambda: sorted(health for health, _ in targets().values()) == ["down", "up"],
+                "one is scraped, the other not",
+            )
+            assert targets()["right"] == ("up", "")
+            _, error = targets()["wrong"]
+            assert re.search("401 Unauthorized|429 Too Many Requests", error)
+
+            def up() -> dict[str, str]:
+                found = api.get("/query", params={"query": "up"}).json()["data"]["result"]
+                return {one["metric"]["job"]: one["value"][1] for one in found}
+
+            until(lambda: up() == {"right": "1", "wrong": "0"}, "what Prometheus says of both")
+        assert "lcb_" not in made.daemon.log()
