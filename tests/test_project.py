@@ -27,6 +27,7 @@ MODULE_LINES = 500
 LONGER = {
     "src/lecombus/cli/rebaud.py",
     "src/lecombus/fieldbus/lecom/exchanges/exchange_loop.py",
+    "src/lecombus/journal/journal.py",
     "src/lecombus/roster.py",
     "src/lecombus/schedule/watchdog_set.py",
 }
