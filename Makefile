@@ -8,6 +8,7 @@
 # make coverage  every branch of the protocol and the schedule is taken by a test, or it fails
 # make bench   the figures of docs, ours and the peers' in one run
 # make wheel   dist/lecombus-*.whl, built offline from the lock
+# make deb     dist/lecombus_*_amd64.deb and _arm64.deb for Debian 12 and 13, from the locks
 # make golden  what the program says in tests, written again: tests/*/golden.txt (ARGS="tests/cli")
 # make openapi the description of the HTTP interface, from the routes and the answer models
 # make schema  config/roster.schema.json, for editors, from the keys of a roster
@@ -16,7 +17,7 @@
 
 ARGS ?=
 
-.PHONY: demo test test-long proof compare fuzz coverage check bench golden openapi schema dashboards wheel lock format clean
+.PHONY: demo test test-long proof compare fuzz coverage check bench golden openapi schema dashboards wheel deb lock format clean
 
 demo:
 	@scripts/venv runtime
@@ -80,6 +81,10 @@ wheel:
 	@.venv/bin/python -m pip --disable-pip-version-check --quiet wheel --no-deps --no-index \
 		--no-build-isolation --wheel-dir dist .
 	@rm -rf build
+
+deb:
+	@scripts/venv dev
+	@PYTHONPATH=src .venv/bin/python scripts/deb $(ARGS)
 
 lock:
 	@scripts/venv lock
