@@ -99,8 +99,9 @@ def test_the_locks_agree_with_each_other() -> None:
     for lock in ("runtime.txt", "build.txt"):
         for name, version in pins(lock).items():
             assert dev.get(name) == version, name
-    for name, version in pins("bench.txt").items():
-        assert dev.get(name, version) == version, name
+    for lock in ("bench.txt", "package.txt"):
+        for name, version in pins(lock).items():
+            assert dev.get(name, version) == version, name
 
 
 def test_compiled_packages_are_locked_for_other_machines_too() -> None:
@@ -192,7 +193,7 @@ def test_every_test_runs_in_just_one_lane() -> None:
 def test_what_needs_real_time_runs_apart_and_is_what_conftest_repeats() -> None:
     lanes: dict[str, list[str]] = runpy.run_path(str(ROOT / "scripts" / "test"))["lanes"]()
     marks = runpy.run_path(str(ROOT / "tests" / "conftest.py"))["ON_THE_CLOCK"]
-    apart = {path for lane in ("load", "real", "cli", "clock") for path in lanes[lane]}
+    apart = {path for lane in ("load", "real", "cli", "clock", "packages") for path in lanes[lane]}
     marked = {
         str(path.relative_to(ROOT))
         for path in (ROOT / "tests").glob("**/test_*.py")

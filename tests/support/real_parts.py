@@ -17,6 +17,11 @@ __all__ = ["missing", "require"]
 
 _PACKAGES = {
     "mosquitto": "mosquitto",
+    "apt-get": "apt",
+    "cp": "coreutils",
+    "dpkg-deb": "dpkg",
+    "nsenter": "util-linux",
+    "systemd-nspawn": "systemd-container",
     "promtool": "prometheus",
     "prometheus": "prometheus",
     "ser2net": "ser2net",

@@ -1,0 +1,249 @@
+"""A newcomer's path on a clean Debian system: from the package to its removal, on systemd itself.
+
+Each step is a function, in the order in which a user takes them; docs/install.md says the same.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+
+import pytest
+
+from support.debian_root import DebianRoot, make_root
+from support.package_build import with_version
+
+pytestmark = [pytest.mark.real, pytest.mark.timeout(1200)]
+
+EXAMPLE = "/usr/share/doc/lecombus/examples/small.yaml"
+ROSTER = "/etc/lecombus/hall-3.yaml"
+PORT = "/run/simulated/hall-3"
+UNIT = "lecombus@hall-3.service"
+OPERATOR, VISITOR = "anna", "visitor"
+"""Users: one is a member of the group lecombus, one is not."""
+
+ENDS_WITHIN_S = 60.0
+LOOK_AGAIN_S = 0.3
+SCRAPE = """
+import sys, urllib.error, urllib.request as requests
+headers = {"Authorization": f"Bearer {sys.argv[1]}"} if sys.argv[1:] else {}
+try:
+    answer = requests.urlopen(requests.Request("http://127.0.0.1:9740/metrics", headers=headers))
+    print(answer.read().decode())
+except urllib.error.HTTPError as exc:
+    print(exc.code)
+"""
+TOKENS = "/etc/credstore/lecombus.hall-3.tokens"
+"""What only root may read, and the service gets from systemd."""
+
+
+def until(happens: Callable[[], bool], what: str) -> None:
+    """Wait until something is so; machines may be slow, so no time of it is judged."""
+    until_s = time.monotonic() + ENDS_WITHIN_S
+    while not happens():
+        assert time.monotonic() < until_s, f"not within {ENDS_WITHIN_S:.0f} s: {what}"
+        time.sleep(LOOK_AGAIN_S)
+
+
+def states(root: DebianRoot) -> dict[str, str]:
+    """Return the drives and their states, as `lecombus status` shows them in a pipe."""
+    lines = root.run("lecombus", "status", status=None).splitlines()
+    found = re.findall(r"^(feeder|belt)\t\d+\t\w+\t(\w+)", "\n".join(lines), re.MULTILINE)
+    return dict(found)
+
+
+def all_online(root: DebianRoot) -> None:
+    until(lambda: states(root) == {"feeder": "online", "belt": "online"}, "all drives online")
+
+
+def process(root: DebianRoot) -> str:
+    return root.run("systemctl", "show", "--property=MainPID", "--value", UNIT).strip()
+
+
+def simulator(root: DebianRoot, command: str) -> str:
+    return root.run("lecombus", "simulate", "--pty", PORT, "--tell", command)
+
+
+def install(root: DebianRoot, package: Path) -> None:
+    root.path("/srv/lecombus.deb").write_bytes(package.read_bytes())
+    root.run("apt-get", "install", "--yes", "/srv/lecombus.deb")
+    version = package.name.split("_")[1]
+    assert root.run("dpkg-query", "--show", "--showformat=${Version}", "lecombus") == version
+    assert root.run("lecombus", "--version").split()[1] in version
+    assert "(dialout)" in root.run("id", "lecombus")
+    root.run("adduser", OPERATOR, "lecombus")
+    typed = ("COMP_WORDS=lecombus st", "COMP_CWORD=1", "_LECOMBUS_COMPLETE=bash_complete")
+    completed = root.run("env", *typed, "lecombus")
+    assert completed.split() == ["plain,stop", "plain,status"]
+
+
+def write_roster(root: DebianRoot) -> None:
+    text = root.path(EXAMPLE).read_text()
+    text = text.replace("name: bench", "name: hall-3")
+    text = re.sub(r"port: /dev/\S+", f"port: {PORT}", text)
+    text = re.sub(r"  http: \S+", rf"\g<0>\n  tokens: /run/credentials/{UNIT}/tokens", text)
+    root.path(ROSTER).write_text(text + "\njournal: /var/lib/lecombus/hall-3.sqlite\n")
+    root.run("chown", "root:lecombus", ROSTER)
+    root.run("chmod", "640", ROSTER)
+    assert "hall-3" in root.run("lecombus", "check", "-c", ROSTER)
+
+
+def make_token(root: DebianRoot) -> None:
+    words = ("--scope", "metrics", "--file", TOKENS, "-o", "/srv/prometheus.token")
+    root.run("lecombus", "token", "new", "prometheus", *words)
+    root.run("chmod", "600", TOKENS)
+
+
+def connect_drives(root: DebianRoot) -> None:
+    """Put simulated drives where the adapter would be."""
+    root.run("install", "-d", "-o", "lecombus", str(Path(PORT).parent))
+    words = ("lecombus", "simulate", "-c", ROSTER, "--pty", PORT)
+    root.start(*words, user="lecombus")
+    until(lambda: root.path("/proc").exists() and "pts" in linked(root), "the simulated port")
+
+
+def linked(root: DebianRoot) -> str:
+    return root.run("readlink", "--", PORT, status=None)
+
+
+def start(root: DebianRoot) -> None:
+    root.run("systemctl", "enable", "--now", UNIT)
+    all_online(root)
+    about = root.run("cat", f"/proc/{process(root)}/status")
+    number = root.run("id", "--user", "lecombus").strip()
+    assert re.search(rf"^Uid:\t{number}\t", about, re.MULTILINE)
+    for line in (
+        "CapEff:\t0000000000000000",
+        "CapBnd:\t0000000000000000",
+        "NoNewPrivs:\t1",
+        "Seccomp:\t2",
+    ):
+        assert line in about
+    assert root.run("systemctl", "--failed", "--no-legend") == ""
+
+
+def scrape(root: DebianRoot) -> None:
+    assert root.run("python3", "-c", SCRAPE).strip() == "401"
+    token = root.path("/srv/prometheus.token").read_text().strip()
+    page = root.run("python3", "-c", SCRAPE, token)
+    for drive in ("feeder", "belt"):
+        assert f'lecombus_drive_up{{line="hall-3",drive="{drive}"}} 1' in page
+
+
+def write(root: DebianRoot) -> None:
+    words = ("lecombus", "write", "feeder", "C0046", "20", "--verify")
+    assert "feeder\tC0046\tverified\t20 Hz" in root.run(*words, user=OPERATOR)
+    root.run(*words, user=VISITOR, status=4)
+    assert "verified" in root.run("lecombus", "stop", user=OPERATOR)
+    journal = root.run("lecombus", "journal", user=OPERATOR)
+    assert re.search(r"\twrite\tfeeder\tverified\tcode=C0046 value=20", journal)
+
+
+def unplug(root: DebianRoot) -> None:
+    running = process(root)
+    simulator(root, "unplug")
+    until(lambda: "online" not in states(root).values(), "no drive online")
+    root.run("lecombus", "write", "feeder", "C0046", "21", user=OPERATOR, status=1)
+    simulator(root, "plug")
+    all_online(root)
+    assert process(root) == running
+
+
+def upgrade(root: DebianRoot, newer: Path) -> None:
+    before = process(root)
+    root.path("/srv/newer.deb").write_bytes(newer.read_bytes())
+    root.run("dpkg", "--unpack", "/srv/newer.deb")
+    # The program that runs has lost its files now, and must still do all that it may be asked for.
+    assert "20 Hz" in root.run("lecombus", "write", "feeder", "C0046", "20", "--verify")
+    assert "verified" in root.run("lecombus", "stop")
+    root.run("lecombus", "reload")
+    root.run("lecombus", "why", "feeder")
+    root.run("lecombus", "backup", "feeder", "-o", "/tmp/feeder.yaml")
+    assert process(root) == before
+    root.run("dpkg", "--configure", "lecombus")
+    until(lambda: process(root) not in ("0", before), "another process")
+    all_online(root)
+    log = root.run("journalctl", "--unit", UNIT, "--no-pager")
+    assert "level=error" not in log
+    assert "Traceback" not in log
+    assert log.count("event=stopped") == 1
+
+
+def upgrade_with_a_roster_that_is_refused(root: DebianRoot) -> None:
+    """The line must not stand still for it."""
+    before, good = process(root), root.path(ROSTER).read_text()
+    root.path(ROSTER).write_text(good.replace("family: smvector", "family: unknown"))
+    said = root.run("/var/lib/dpkg/info/lecombus.postinst", "configure", "0.0.1-1")
+    assert "line hall-3 is NOT restarted" in said
+    assert process(root) == before
+    assert set(states(root).values()) == {"online"}
+    root.path(ROSTER).write_text(good)
+
+
+def remove(root: DebianRoot) -> None:
+    root.run("apt-get", "remove", "--yes", "lecombus")
+    assert process(root) == "0"
+    root.run("lecombus", "--version", status=127)
+    kept = root.files()
+    assert {ROSTER, "/var/lib/lecombus/hall-3.json", "/var/lib/lecombus/hall-3.sqlite"} <= kept
+    assert not root.path("/usr/lib/lecombus").exists()
+
+
+def install_again(root: DebianRoot) -> None:
+    """What was kept is used again, and what was enabled starts at the next boot."""
+    root.run("apt-get", "install", "--yes", "/srv/lecombus.deb")
+    assert root.run("systemctl", "is-enabled", UNIT).strip() == "enabled"
+    root.run("systemctl", "start", UNIT)
+    all_online(root)
+
+
+def purge(root: DebianRoot, before: set[str]) -> None:
+    root.run("apt-get", "purge", "--yes", "lecombus")
+    kept = {"/etc/lecombus", ROSTER, TOKENS}
+    assert root.files() - before == kept, "what people wrote is kept"
+    assert root.run("systemctl", "list-units", "--all", "--no-legend", "lecombus*") == ""
+    assert not root.path("/run/lecombus").exists()
+    root.run("rm", "-r", "/etc/lecombus", TOKENS)
+    assert root.files() == before
+    assert root.run("systemctl", "--failed", "--no-legend") == ""
+
+
+def take_the_path(root: DebianRoot, package: Path, newer: Path, *, detours: bool) -> None:
+    for name in (OPERATOR, VISITOR):
+        root.run("adduser", "--disabled-password", "--gecos", "", name)
+    root.run("adduser", OPERATOR, "users")
+    root.run("install", "-d", "-m", "700", str(Path(TOKENS).parent))
+    before = root.files()
+    install(root, package)
+    write_roster(root)
+    make_token(root)
+    connect_drives(root)
+    start(root)
+    scrape(root)
+    write(root)
+    unplug(root)
+    upgrade(root, newer)
+    upgrade_with_a_roster_that_is_refused(root)
+    remove(root)
+    if detours:
+        install_again(root)
+    purge(root, before)
+
+
+def test_a_newcomers_path_on_debian_12(
+    package: Path, clean_root: Future[Path], tmp_path: Path
+) -> None:
+    newer = with_version(package, "999-1", tmp_path)
+    with DebianRoot(clean_root.result(), tmp_path / "root") as root:
+        take_the_path(root, package, newer, detours=False)
+
+
+@pytest.mark.long
+def test_a_newcomers_path_on_debian_13(package: Path, tmp_path: Path) -> None:
+    make_root("trixie", tmp_path / "clean")
+    newer = with_version(package, "999-1", tmp_path)
+    with DebianRoot(tmp_path / "clean", tmp_path / "root") as root:
+        take_the_path(root, package, newer, detours=True)
