@@ -150,6 +150,60 @@ def test_after_a_lapse_the_register_must_be_0_under_the_new_lease() -> None:
     on_a_bench(test)
 
 
+async def beats(bench: Bench, for_s: float) -> None:
+    """Write the heartbeat and nothing else."""
+    for _ in range(round(10 * for_s)):
+        bench.beat()
+        await anyio.sleep(0.1)
+
+
+def test_a_0_that_was_written_before_the_lease_does_not_count() -> None:
+    async def test(bench: Bench) -> None:
+        bench.control.write_command(PLC, Command.NONE)
+        await beats(bench, 1.0)
+        assert control_state(bench) == HELD
+        bench.control.write_command(PLC, Command.ENABLE)
+        await anyio.sleep(0.1)
+        assert bench.command == (1, REFUSED, Reason.NOT_FROM_0)
+        bench.control.write_command(PLC, Command.NONE)
+        await beats(bench, LEASE_S)
+        await anyio.sleep(LEASE_S + 0.1)
+        assert not bench.daemon.leased()
+        await beats(bench, 2.0)
+        bench.control.write_command(PLC, Command.ENABLE)
+        await anyio.sleep(0.1)
+        assert bench.command == (2, REFUSED, Reason.NOT_FROM_0)
+        assert bench.daemon.sent == []
+
+    on_a_bench(test)
+
+
+def test_after_a_stop_the_register_must_be_0_again() -> None:
+    async def test(bench: Bench) -> None:
+        await bench.cycle(1.0)
+        bench.control.write_stop(Command.QUICK_STOP)
+        bench.control.write_command(PLC, Command.ENABLE)
+        await anyio.sleep(0.1)
+        assert bench.command == (2, REFUSED, Reason.NOT_FROM_0)
+        assert bench.daemon.sent == ["quick-stop feeder"]
+
+    on_a_bench(test)
+
+
+def test_another_plc_gives_no_setpoint_and_no_command_under_the_lease_of_the_first() -> None:
+    async def test(bench: Bench) -> None:
+        await enabled(bench)
+        bench.control.write_setpoint(OTHER_PLC, 10_000)
+        bench.control.write_command(OTHER_PLC, Command.NONE)
+        bench.control.write_command(OTHER_PLC, Command.ENABLE)
+        await anyio.sleep(0.1)
+        assert bench.daemon.sent == ["enable"]
+        assert bench.setpoint == (1, REFUSED, Reason.NO_LEASE)
+        assert bench.command == (2, REFUSED, Reason.NO_LEASE)
+
+    on_a_bench(test)
+
+
 def test_a_stop_needs_no_lease_and_goes_out_once() -> None:
     async def test(bench: Bench) -> None:
         for _ in range(50):
