@@ -91,6 +91,19 @@ def test_the_unit_exposes_little_of_the_system(unit: Path) -> None:
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr
 
 
+def test_the_unit_of_the_modbus_bridge_is_right_and_exposes_little(tmp_path: Path) -> None:
+    text = (DEPLOY / "lecombus-modbus@.service").read_text()
+    path = tmp_path / "lecombus-modbus@hall-3.service"
+    path.write_text(text.replace("/opt/lecombus/bin/lecombus", sys.executable))
+    assert complaints(path) == ""
+    words = ("security", "--offline=yes", "--threshold=15", "--no-pager", path)
+    done = run(require("systemd-analyze"), *words)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr
+    # It ends with the line's service, and never ends it.
+    assert "PartOf=lecombus@%i.service" in text
+    assert not re.search(r"^(Conflicts|BindsTo|Requires|PropagatesStopTo)=", text, re.MULTILINE)
+
+
 def test_the_unit_speaks_with_this_machine_only() -> None:
     for line in ("IPAddressDeny=any", "IPAddressAllow=localhost"):
         assert f"\n{line}\n" in UNIT.read_text()

@@ -37,6 +37,7 @@ class FakeDaemon:
         self.takes_s = 0.0
         self.is_held_by_other = False
         self.is_latched = True
+        self.is_stopped = True
         self.is_gone = False
         self._valid_until_s = -1.0
         self._time_s = 0.0
@@ -61,6 +62,7 @@ class FakeDaemon:
             self.asked_at_s.append(anyio.current_time())
             await anyio.sleep(self.takes_s)
             self.sent.append(f"{body['action']} {body['target']}")
+            self.is_stopped = True
             return self.result({"target": body["target"], "how": "one-by-one", "members": []})
         return await self.verb(path, body, request.headers.get("lecombus-lease", ""))
 
@@ -68,7 +70,7 @@ class FakeDaemon:
         _, _, _, drive, _, verb = path.split("/")
         if not self.leased() or token != self.token:
             return self.problem(403, "lease-required")
-        if verb == "set-speed" and self.is_latched:
+        if verb == "set-speed" and self.is_latched and not self.is_stopped:
             return self.problem(409, "latched")
         self.asked_at_s.append(anyio.current_time())
         await anyio.sleep(self.takes_s)

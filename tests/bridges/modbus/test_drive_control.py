@@ -101,7 +101,7 @@ def test_a_count_passes_from_65535_to_0() -> None:
 def test_a_command_register_that_was_set_before_the_lease_starts_nothing() -> None:
     async def test(bench: Bench) -> None:
         await bench.cycle(5.0, Command.ENABLE, 354000)
-        assert bench.daemon.sent == []
+        assert bench.daemon.sent == ["set-speed 35.4 Hz"]
         assert bench.command == (1, REFUSED, Reason.NO_LEASE)
         assert control_state(bench) == HELD
 
@@ -142,10 +142,10 @@ def test_after_a_lapse_the_register_must_be_0_under_the_new_lease() -> None:
         sent = list(bench.daemon.sent)
         await bench.cycle(3.0, Command.ENABLE, 354000)
         assert bench.daemon.leased()
-        assert bench.daemon.sent == sent
+        assert bench.daemon.sent == [*sent, "set-speed 35.4 Hz"]
         await bench.cycle(0.3, Command.NONE, 354000)
         await bench.cycle(1.0, Command.ENABLE, 354000)
-        assert bench.daemon.sent == [*sent, "enable", "set-speed 35.4 Hz"]
+        assert bench.daemon.sent == [*sent, "set-speed 35.4 Hz", "enable"]
 
     on_a_bench(test)
 
@@ -269,7 +269,7 @@ def test_a_stop_prevents_an_enable_that_waits_behind_its_setpoint() -> None:
         bench.beat()
         bench.control.stopped_with_all()
         await anyio.sleep(0.7)
-        assert bench.daemon.sent == ["enable", "set-speed 10 Hz", "set-speed 20 Hz"]
+        assert bench.daemon.sent == ["set-speed 10 Hz", "enable", "set-speed 20 Hz"]
         assert bench.command == (2, SUPERSEDED, Reason.STOPPED)
 
     on_a_bench(test)
@@ -280,7 +280,7 @@ def test_a_setpoint_goes_out_when_it_changes_and_not_in_every_cycle() -> None:
         await enabled(bench, 354000)
         await bench.cycle(10.0, setpoint=354000)
         await bench.cycle(10.0, setpoint=-5000)
-        assert bench.daemon.sent == ["enable", "set-speed 35.4 Hz", "set-speed -0.5 Hz"]
+        assert bench.daemon.sent == ["set-speed 35.4 Hz", "enable", "set-speed -0.5 Hz"]
         assert bench.setpoint[1:] == (VERIFIED, Reason.NONE)
 
     on_a_bench(test)
@@ -323,7 +323,7 @@ def test_a_drive_that_was_away_is_given_its_setpoint_again() -> None:
         assert bench.setpoint[1:] == (REFUSED, Reason.NO_ANSWER)
         bench.facts.online = True
         await bench.cycle(1.0, setpoint=354000)
-        assert bench.daemon.sent == ["enable", "set-speed 35.4 Hz", "set-speed 35.4 Hz"]
+        assert bench.daemon.sent == ["set-speed 35.4 Hz", "enable", "set-speed 35.4 Hz"]
         assert bench.setpoint[1:] == (VERIFIED, Reason.NONE)
 
     on_a_bench(test)
@@ -350,6 +350,22 @@ def test_a_setpoint_that_the_drive_refuses_prevents_the_enable() -> None:
         await bench.cycle(1.0, Command.ENABLE, 9_990_000)
         assert bench.daemon.sent.count("enable") == 1
         assert bench.command[1:] == (REFUSED, Reason.BAD_VALUE)
+
+    on_a_bench(test)
+
+
+def test_a_latched_drive_that_shows_no_stop_is_not_enabled_at_its_old_setpoint() -> None:
+    async def test(bench: Bench) -> None:
+        bench.daemon.is_stopped = False
+        await bench.cycle(0.5, setpoint=354000)
+        await bench.cycle(1.0, Command.ENABLE, 354000)
+        assert bench.daemon.sent == []
+        assert bench.command == (1, REFUSED, Reason.LATCHED)
+        assert bench.setpoint[1:] == (REFUSED, Reason.LATCHED)
+        await bench.cycle(0.5, Command.QUICK_STOP, 354000)
+        await bench.cycle(0.5, Command.NONE, 354000)
+        await bench.cycle(0.5, Command.ENABLE, 354000)
+        assert bench.daemon.sent == ["quick-stop feeder", "set-speed 35.4 Hz", "enable"]
 
     on_a_bench(test)
 

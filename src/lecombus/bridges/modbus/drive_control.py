@@ -217,7 +217,6 @@ class DriveControl:
         self._lease_reason = Reason.NO_LEASE
         self._under_lease: TaskGroup | None = None
         self._is_armed = False
-        self._is_enabled = False
         self._giving = anyio.Lock()
         self._wanted: int | None = None
         self._given: int | None = None
@@ -371,7 +370,7 @@ class DriveControl:
         self._lease = self._under_lease = None
         self._owner, self._counted, self._counts = "", None, anyio.Event()
         self._has_counted = False
-        self._is_armed = self._is_enabled = False
+        self._is_armed = False
         self._wanted = self._given = None
         self._retry_at_s, self._retry_s = 0.0, FIRST_RETRY_S
 
@@ -389,26 +388,16 @@ class DriveControl:
             self._last_command.end(sequence, outcome, reason)
 
     async def _enable(self, stops: int) -> tuple[int, Reason]:
-        """Give the setpoint first where the drive takes one, so that it does not run at an old one.
-
-        A latched drive takes no setpoint before it is enabled: it gets it directly afterwards.
-        """
-        if self._is_due and not self._is_latched:
-            outcome, reason = await self._give_setpoint()
-            if outcome not in GOOD:
-                return REFUSED, reason
+        """Give the setpoint first, so that the drive does not start at an old one."""
+        outcome, reason = await self._give_setpoint()
+        if outcome not in GOOD:
+            return REFUSED, reason
         if self._stops.count != stops:
             return SUPERSEDED, Reason.STOPPED
         outcome, reason = await self._ask(Command.ENABLE)
-        self._is_enabled = self._is_enabled or outcome in GOOD
+        self._retry_at_s = 0.0
         self._setpoint_due.set()
         return outcome, reason
-
-    @property
-    def _is_latched(self) -> bool:
-        """Whether the drive takes no setpoint until it is enabled, as the daemon said last."""
-        latched = () if self._lease is None else self._lease.latched
-        return not self._is_enabled and self.drive in latched
 
     async def _ask(self, command: Command) -> tuple[int, Reason]:
         drive = self._line().drive(self.drive)
@@ -416,10 +405,6 @@ class DriveControl:
         logger.info("drive=%s event=command command=%s client=%s",
                     self.drive, command.verb, self._owner)  # fmt: skip
         return await outcome_of(f"{command.verb} of {self.drive}", lambda: ask(expires_s=EXPIRES_S))
-
-    @property
-    def _is_due(self) -> bool:
-        return self._wanted is not None and self._wanted != self._given
 
     async def _give_setpoints(self) -> None:
         """Give the drive each new setpoint; one that failed again, ever more seldom."""
@@ -431,12 +416,11 @@ class DriveControl:
                 if self._last_setpoint.reason is not Reason.NO_ANSWER:
                     self._refuse_setpoint(Reason.NO_ANSWER)
                 continue
-            is_time = anyio.current_time() >= self._retry_at_s
-            if self._is_due and is_time and not self._is_latched:
+            if anyio.current_time() >= self._retry_at_s:
                 await self._give_setpoint()
 
     async def _give_setpoint(self) -> tuple[int, Reason]:
-        """Send the newest setpoint, one at a time."""
+        """Send the newest setpoint, one at a time; nothing, where the drive has it."""
         async with self._giving:
             wanted = self._wanted
             if wanted is None or wanted == self._given:
