@@ -129,6 +129,8 @@ def test_another_makes_client_reads_and_is_refused_what_is_old_and_what_it_may_n
 
 
 def enable(one: Site, plc: Outputs) -> None:
+    plc.command = 1
+    until(lambda: one.command() == [1, VERIFIED], "stopped")
     plc.command = 0
     time.sleep(0.5)
     plc.command = 3
@@ -143,10 +145,10 @@ def test_a_plc_enables_sets_stops_and_loses_its_lease_when_it_hangs(daemon: Daem
         assert one.shown()[2:4] == [REFUSED, 1]  # set before the lease: it starts nothing
         assert not one.turns()
         enable(one, plc)
-        until(lambda: one.shown()[5] == DONE, "the setpoint is given")
+        assert one.shown()[5] == DONE  # before the enable
         until(one.turns, "it turns")
         time.sleep(1.0)
-        assert daemon.log().count("verb=set-speed") == 1
+        assert daemon.log().count("written=C0046:35.4") == 1
         plc.setpoint = 200000
         until(lambda: "C0046:20" in daemon.log(), "the new setpoint")
         plc.is_counting = False
