@@ -38,6 +38,7 @@ class Seen:
         for name in ("feeder", "belt"):
             follower.drives.setdefault(name, FollowedDrive(name, 11, "8200vector")).state = "online"
         self.say("connected")
+        self.say("looked")
 
     def lose(self, why: str = "no daemon answers") -> None:
         self.follower.is_connected, self.follower.why_away, self.follower.line = False, why, None

@@ -87,6 +87,7 @@ MARGIN = f"lecombus_watchdog_margin_lowest_seconds{{{FEEDER}}}"
 TIME_SET = f"lecombus_watchdog_time_seconds{{{FEEDER}}}"
 TIME = {TIME_SET: "2x200"}
 LATE = f"lecombus_late_answers_total{{{LINE}}}"
+EXPIRY = "2678400x40"  # 31 days after the beginning of time
 C0012 = f'lecombus_parameter_writes_total{{{FEEDER},code="C0012"}}'
 
 CASES = (
@@ -308,6 +309,15 @@ CASES = (
         quiet=(({C0012: "0+24x40"}, ("8d",)), ({C0012: "70000x40"}, ("8d",))),
         labels={**OF_FEEDER, "code": "C0012"},
         shown="504",
+        interval="12h",
+    ),
+    Case(
+        "LecombusCertificateExpires",
+        {f'lecombus_tls_certificate_expiry_timestamp_seconds{{{LINE},file="certificate"}}': EXPIRY},
+        firing=("3d",),
+        not_yet=("12h",),
+        labels={**OF_LINE, "file": "certificate"},
+        shown="28d 0h 0m 0s",
         interval="12h",
     ),
 )  # fmt: skip

@@ -22,7 +22,7 @@ from dashboards.boards import BOARDS, FOLDER
 from support.daemon_host import Daemon, free_port, on_a_pty, short_dir, started, until
 from support.real_parts import require
 
-pytestmark = [pytest.mark.real, pytest.mark.slow, pytest.mark.timeout(90)]
+pytestmark = [pytest.mark.real, pytest.mark.slow, pytest.mark.timeout(150)]
 
 RULES = Path(__file__).parents[2] / "deploy" / "prometheus" / "lecombus.rules.yml"
 DRIVES = (("feeder", 11, "8200vector"), ("belt", 12, "smvector"), ("winder", 21, "93xx"),

@@ -68,7 +68,7 @@ class Sender:
         self._came.set()
 
     async def run(self) -> NoReturn:
-        """Send for ever."""
+        """Send until cancelled."""
         pause_s = FIRST_PAUSE_S
         while True:
             await self._came.wait()
@@ -143,7 +143,7 @@ async def run_bridge(
 
 
 async def watch_misses(socket: str, conditions: Conditions) -> NoReturn:
-    """Read the counts of missed watchdogs, again and again; a daemon that is away has none."""
+    """Read the counts of missed watchdogs every few seconds; a daemon that is away has none."""
     while True:
         try:
             async with connect(socket) as line:

@@ -100,7 +100,7 @@ class Conditions:
             drive = follower.drives.get(event.drive)
             if drive is not None:
                 self._look_at_drive(drive)
-        elif event.kind in ("connected", "line", "looked"):
+        elif event.kind in ("line", "looked"):
             self._look_at_line()
 
     def look(self) -> None:

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from lecombus.bridges.notify.conditions import Happening
 
-__all__ = ["Entry", "Limiter", "Message", "Pending", "message_of", "trial_message"]
+__all__ = ["Limiter", "Message", "MessageEntry", "Pending", "message_of", "trial_message"]
 
 MOST_ENTRIES: Final = 1000
 """Six kinds of event for 90 drives, and as much for drives that left the roster."""
@@ -47,7 +47,7 @@ WORDS: Final[Mapping[str, tuple[str, str, str]]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class MessageEntry:
     """What happened of one event at one drive since the last message.
 
     Args:
@@ -70,7 +70,7 @@ class Entry:
     last_s: float
     fault: Mapping[str, Any] | None = None
 
-    def followed_by(self, later: Entry) -> Entry:
+    def followed_by(self, later: MessageEntry) -> MessageEntry:
         """Return both in one."""
         newest = later if later.active else self
         return replace(
@@ -104,7 +104,7 @@ class Message:
     line: str
     subject: str
     text: str
-    entries: tuple[Entry, ...]
+    entries: tuple[MessageEntry, ...]
     made_s: float
     dropped: int = 0
     is_test: bool = False
@@ -127,7 +127,7 @@ class Pending:
 
     def __init__(self, *, ends: bool) -> None:
         self._ends = ends
-        self._entries: dict[tuple[str, str], Entry] = {}
+        self._entries: dict[tuple[str, str], MessageEntry] = {}
         self._dropped = 0
 
     def __bool__(self) -> bool:
@@ -141,10 +141,12 @@ class Pending:
             return
         begun = int(one.active and not one.is_update)
         self._put(
-            Entry(one.event, one.drive, one.text, begun, one.active, one.at_s, one.at_s, one.fault)
+            MessageEntry(
+                one.event, one.drive, one.text, begun, one.active, one.at_s, one.at_s, one.fault
+            )
         )
 
-    def take(self) -> tuple[tuple[Entry, ...], int]:
+    def take(self) -> tuple[tuple[MessageEntry, ...], int]:
         """Give all of it, the worst first, with how many did not fit, and forget it."""
         order = list(WORDS)
         found = sorted(
@@ -154,14 +156,14 @@ class Pending:
         self._entries = {}
         return tuple(found), dropped
 
-    def put_back(self, entries: Iterable[Entry], dropped: int) -> None:
+    def put_back(self, entries: Iterable[MessageEntry], dropped: int) -> None:
         """Take back what could not be sent; what happened since then is later."""
         later, self._entries = self._entries, {}
         self._dropped += dropped
         for entry in (*entries, *later.values()):
             self._put(entry)
 
-    def _put(self, entry: Entry) -> None:
+    def _put(self, entry: MessageEntry) -> None:
         key = (entry.event, entry.drive)
         before = self._entries.get(key)
         if before is not None:
@@ -199,7 +201,9 @@ class Limiter:
         self._left -= 1.0
 
 
-def message_of(line: str, entries: tuple[Entry, ...], dropped: int, made_s: float) -> Message:
+def message_of(
+    line: str, entries: tuple[MessageEntry, ...], dropped: int, made_s: float
+) -> Message:
     """Return the message of what happened on a line."""
     subject = f"{line}: {headline(entries)}"
     lines = [f"Line {line}, {local(made_s):%Y-%m-%d %H:%M:%S %z}", ""]
@@ -222,7 +226,7 @@ def trial_message(line: str, made_s: float) -> Message:
     return Message(line, f"{line}: test message", text, (), made_s, is_test=True)
 
 
-def headline(entries: tuple[Entry, ...]) -> str:
+def headline(entries: tuple[MessageEntry, ...]) -> str:
     """Return what happened, in a few words: `2 drives tripped, 1 drive lost`."""
     if len(entries) == 1:
         entry = entries[0]
@@ -240,7 +244,7 @@ def headline(entries: tuple[Entry, ...]) -> str:
     return "; ".join(parts)
 
 
-def lines_of(entry: Entry) -> list[str]:
+def lines_of(entry: MessageEntry) -> list[str]:
     """Return an entry as lines of a text."""
     name = f"{entry.drive}: " if entry.drive else ""
     times = f" ({entry.begun} times)" if entry.begun > 1 else ""
