@@ -13,6 +13,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from math import inf
 from pathlib import Path
@@ -178,6 +179,9 @@ class MqttBridge:
         self._board = Board()
         self._is_all_changed = True
         await self._beat_once(broker)
+        if not broker.limits.qos and self._entry.control:
+            reason = "it acknowledges nothing, so only stops are carried out"
+            logger.warning("event=mqtt-limited broker=%s reason=%s", self._where, reason)
         if not broker.limits.retain:
             logger.warning("event=mqtt-limited broker=%s reason=it keeps no retained messages",
                            self._where)  # fmt: skip
@@ -212,7 +216,9 @@ class MqttBridge:
         """Send an answer, if there is a connection; without one the asker hears nothing."""
         if self._broker is not None:
             with suppress(BrokerError):
-                await self._broker.publish(message)
+                if not await self._broker.publish(message):
+                    outcome = json_bytes(dict(message.properties))
+                    await self._broker.publish(replace(message, payload=outcome))
 
     async def _say_goodbye(self) -> None:
         """Say that nothing more comes."""

@@ -176,14 +176,17 @@ class Broker:
         self._under_way = anyio.CapacityLimiter(min(AT_ONCE_MOST, limits.receive_maximum))
         self._too_big: set[str] = set()
 
-    async def publish(self, message: Message) -> None:
+    async def publish(self, message: Message) -> bool:
         """Send a message, and wait until the broker has it (at QoS 0: until it is on its way).
+
+        Returns:
+            Whether it was sent; False: it is larger than the broker takes.
 
         Raises:
             BrokerError: The connection is lost.
         """
         if self._is_too_big(message):
-            return
+            return False
         qos = min(message.qos, self.limits.qos)
         retain = message.is_retained and self.limits.retain
         properties = properties_of(message)
@@ -197,6 +200,7 @@ class Broker:
                     )
         except (aiomqtt.MqttError, ValueError) as exc:
             raise BrokerError(str(exc)) from exc
+        return True
 
     def _is_too_big(self, message: Message) -> bool:
         """Whether the broker would end the connection because of a message."""

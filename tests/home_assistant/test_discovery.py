@@ -1,0 +1,160 @@
+"""What the MQTT bridge tells Home Assistant of drives, and that Home Assistant takes it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from collections.abc import Iterator
+from decimal import Decimal
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lecombus.bridges.line_follower import FollowedDrive, FollowedValue, LineFollower
+from lecombus.bridges.mqtt.bridge import Devices
+from lecombus.bridges.mqtt.broker import Incoming
+from lecombus.bridges.mqtt.discovery import Discovery
+from lecombus.bridges.mqtt.topics import Topics
+from lecombus.client import Quality, Reading
+from lecombus.drives import FAMILY_NAMES, family
+from lecombus.parameters import Code
+from support.real_parts import missing
+
+HERE = Path(__file__).parent
+
+
+class Followed(LineFollower):
+    """A line with a drive of each family, whose cyclic codes were read."""
+
+    def __init__(self) -> None:
+        super().__init__("/run/x.sock")
+        self.is_connected = True
+        for number, name in enumerate(FAMILY_NAMES):
+            drive = FollowedDrive(f"drive-{name}", 11 + number, name, "online")
+            drive.motion = {"setpoint": {"unit": "%" if name == "93xx" else "Hz", "value": 1}}
+            for code, every_s in family(name).status:
+                self._periods[drive.name, str(code)] = every_s
+                drive.values[str(code)] = self.read(drive.name, code, name)
+            self.drives[drive.name] = drive
+
+    def read(self, drive: str, code: Code, name: str) -> FollowedValue:
+        info = family(name).info(code)
+        unit = "" if info is None else info.unit or ""
+        value: Any = Decimal("1.5") if unit else 8
+        reading = Reading(
+            drive, f"C{code.number:04d}", code.subcode, "" if info is None else info.name, value,
+            "1.5", unit, Quality.GOOD, "", None, 0.1, "",
+        )  # fmt: skip
+        return FollowedValue(reading, 0, inf)
+
+
+def devices(follower: LineFollower, *, control: bool = False) -> Devices:
+    topics = Topics("lecombus", "hall-3")
+    return Devices(Discovery("homeassistant", topics, "hall-3", control=control), follower)
+
+
+def documents(*, control: bool) -> Iterator[tuple[str, str]]:
+    for message in devices(Followed(), control=control).due():
+        assert (message.is_retained, message.expiry_s) == (True, None)
+        yield message.topic, message.payload.decode()
+
+
+def test_a_drive_is_read_only_and_can_be_stopped_unless_the_roster_allows_more() -> None:
+    writes = []
+    for control in (False, True):
+        found = json.loads(dict(documents(control=control))[
+            "homeassistant/device/lecombus_hall-3_drive-8200vector/config"])  # fmt: skip
+        parts = found["components"]
+        writes.append({key for key, part in parts.items() if "command_topic" in part})
+        assert (
+            parts["quick_stop"]["command_topic"] == "lecombus/hall-3/drive-8200vector/do/quick-stop"
+        )
+        assert all(part["qos"] == 2 and not part["retain"] for part in parts.values()
+                   if "command_topic" in part)  # fmt: skip
+        value = parts["C0050"]
+        assert (value["unit_of_measurement"], value["device_class"]) == ("Hz", "frequency")
+        assert value["expire_after"] == 6  # read every 2 s: stale after 5 s
+    assert writes == [{"quick_stop", "inhibit"}, {"quick_stop", "inhibit", "speed"}]
+
+
+def test_all_is_sent_again_after_the_birth_of_home_assistant_and_only_what_changed_else() -> None:
+    follower = Followed()
+    known = devices(follower)
+    for message in known.due():
+        known.sent(message)
+    assert known.due() == []
+    assert known.takes(incoming("homeassistant/status", b"offline"))
+    assert known.due() == []
+    assert known.takes(incoming("homeassistant/status", b"online"))
+    assert len(known.due()) == len(FAMILY_NAMES)
+
+
+def test_a_drive_that_left_the_roster_is_removed_also_if_the_bridge_was_not_there() -> None:
+    ours = dict(documents(control=False))
+    topic = "homeassistant/device/lecombus_hall-3_drive-93xx/config"
+    other_line = ours[topic].replace("lecombus/hall-3/", "lecombus/hall-30/")
+    follower = Followed()
+    del follower.drives["drive-93xx"]
+    known = devices(follower)
+    known.takes(incoming(topic, ours[topic].encode(), is_retained=True))
+    for strange in (b"", b"[1]", b"{", b'{"device": 1}', b'{"device": {"serial_number": 1}}'):
+        known.takes(incoming("homeassistant/device/strange/config", strange, is_retained=True))
+    known.takes(incoming("homeassistant/device/other/config", other_line.encode()))
+    gone = [message.topic for message in known.due() if not message.payload]
+    assert gone == [topic]
+    follower.is_connected = False  # nothing is removed while the drives are not known
+    assert known.due() == []
+
+
+def incoming(topic: str, payload: bytes, *, is_retained: bool = False) -> Incoming:
+    return Incoming(topic, payload, 1, is_retained, 0.0)
+
+
+@pytest.fixture(scope="module")
+def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An interpreter with Home Assistant, which needs a newer Python and other packages than we."""
+    newer = next(filter(None, map(shutil.which, ("python3.12", "python3.13"))), None)
+    if newer is None:
+        missing("Home Assistant needs Python 3.12 or 3.13")
+    folder = tmp_path_factory.mktemp("home-assistant")
+    subprocess.run([newer, "-m", "venv", folder], check=True)
+    subprocess.run(
+        [folder / "bin" / "python", "-m", "pip", "install", "-qq", "--no-deps",
+         "--only-binary", ":all:", "-r", HERE / "packages.txt"], check=True,
+    )  # fmt: skip
+    return folder / "bin" / "python"
+
+
+@pytest.mark.long
+@pytest.mark.real
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("control", [False, True])
+def test_home_assistant_takes_what_it_is_sent(python: Path, *, control: bool) -> None:
+    sent = dict(documents(control=control))
+    assert len(sent) == len(FAMILY_NAMES)
+    assert said_of(python, sent) == []
+
+
+@pytest.mark.long
+@pytest.mark.real
+@pytest.mark.timeout(1800)
+def test_the_check_itself_finds_mistakes(python: Path) -> None:
+    topic, text = next(documents(control=True))
+    wrong = json.loads(text)
+    wrong["components"]["state"]["expire_afterr"] = 5
+    wrong["components"]["speed"]["command_topic"] = "a/#"
+    wrong["components"]["fault"]["value_template"] = "{{ value_json."
+    said = said_of(python, {topic: json.dumps(wrong)})
+    assert len(said) == 3, said
+
+
+def said_of(python: Path, sent: dict[str, str]) -> list[str]:
+    done = subprocess.run(
+        [python, HERE / "validate.py"], input=json.dumps(sent), capture_output=True, text=True,
+        check=False, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-3000:]
+    return done.stdout.splitlines()
