@@ -124,9 +124,26 @@ def test_a_lost_line_is_one_happening_and_its_drives_are_none(seen: Seen) -> Non
     seen.state("offline", "belt")
     assert [one.text for one in seen.given] == ["the port is not open: the adapter is gone"]
     assert seen.found() == [("line-lost", "", True)]
-    seen.state("starting")
     seen.line("open")
-    assert seen.found() == [("line-lost", "", False), ("drive-lost", "belt", True)]
+    seen.say("looked")
+    assert seen.found() == [("line-lost", "", False)], "they were not asked again yet"
+    for drive in ("feeder", "belt"):
+        seen.state("starting", drive)
+    seen.state("online")
+    seen.state("offline", "belt")
+    assert seen.found() == [("drive-lost", "belt", True)]
+
+
+def test_a_drive_that_was_lost_before_its_line_ends_when_it_answers(seen: Seen) -> None:
+    seen.state("offline")
+    seen.line("lost")
+    seen.line("open")
+    seen.state("starting")
+    seen.state("online")
+    assert seen.found() == [
+        ("drive-lost", "feeder", True), ("line-lost", "", True), ("line-lost", "", False),
+        ("drive-lost", "feeder", False),
+    ]  # fmt: skip
 
 
 def test_a_daemon_is_lost_after_its_time_and_back_when_it_answers(seen: Seen) -> None:

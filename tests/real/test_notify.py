@@ -120,6 +120,9 @@ def test_all_that_can_happen_is_told_and_its_end() -> None:
         messages.until("line-lost")
         end.replug()
         messages.until("line-lost", active=False)
+        daemon.until_online("feeder")
+        lost = [one["drive"] for one in messages.events() if one["event"] == "drive-lost"]
+        assert "belt" not in lost, "a drive on a line that is lost is not named"
 
         daemon.process.send_signal(signal.SIGKILL)
         daemon.process.wait(5)

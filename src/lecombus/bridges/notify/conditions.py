@@ -79,6 +79,8 @@ class Conditions:
         self._wall = wall
         self._give = give
         self._standing: dict[tuple[str, str], str] = {}
+        self._without_line: set[str] = set()
+        """Drives that were not spoken to since the line was lost."""
         self._numbers: dict[str, Any] = {}
         self._misses: dict[str, int] | None = None
         self._away_at_s: float | None = clock()
@@ -147,6 +149,10 @@ class Conditions:
             self._set("trip", drive.name, None, "the fault is gone")
         line = self._follower.line
         if line is None or line.state != "open":
+            self._without_line.add(drive.name)
+        elif drive.state != "offline":
+            self._without_line.discard(drive.name)
+        if drive.name in self._without_line:
             return  # no drive answers then, and the line is what was lost
         if drive.state == "offline":
             self._set("drive-lost", drive.name, f"it does not answer: {drive.reason}")
