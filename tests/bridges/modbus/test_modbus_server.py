@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from lecombus.bridges.modbus import modbus_server
 from lecombus.bridges.modbus.modbus_server import MOST, ModbusServer, split
 from lecombus.bridges.modbus.register_values import ModbusError, ModbusException
+from lecombus.errors import ConfigError
 
 pytestmark = [pytest.mark.clock, pytest.mark.anyio]
 
@@ -87,7 +88,7 @@ READ = struct.Struct(">BHH")
     (b"\x83\x02", "83 01"),
     (b"\xff", "FF 01"),
 ])  # fmt: skip
-async def test_what_each_request_is_answered_with(pdu: bytes, answer: str | None) -> None:
+def test_what_each_request_is_answered_with(pdu: bytes, answer: str | None) -> None:
     found = answered(pdu)
     if answer is None:
         assert (found[0], found[1], len(found)) == (3, 250, 252)
@@ -95,20 +96,47 @@ async def test_what_each_request_is_answered_with(pdu: bytes, answer: str | None
         assert found.hex() == answer.replace(" ", "").lower()
 
 
-async def test_another_unit_is_not_answered_by_this_device() -> None:
+def test_another_unit_is_not_answered_by_this_device() -> None:
     assert answered(READ.pack(3, 7, 1), unit=2).hex() == "830b"
     assert answered(READ.pack(3, 7, 1), unit=255).hex() == "03020007"
 
 
+def test_what_a_client_sends_fills_no_log(caplog: pytest.LogCaptureFixture) -> None:
+    bad = (b"\x03", b"\x10\x00", b"\xff", bytes.fromhex("10 0028 0000 00"))
+    for pdu in (
+        READ.pack(3, 0, 0),
+        READ.pack(4, 0, 65535),
+        *bad,
+        b"\x10\0\0\0\x7c\xf8" + bytes(248),
+    ):
+        answered(pdu)
+    assert caplog.records == []
+
+
+def test_what_the_bridge_does_not_know_is_a_failure_and_does_not_end_it(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    class Newer(Registers):
+        def read(self, first: int, count: int) -> Sequence[int]:
+            raise ConfigError("there is no family `9400`")
+
+    of = server(Newer())
+    for _ in range(3):
+        assert of.answer("127.0.0.1", 1, READ.pack(3, 7, 1)).encode() == b"\x04"
+    assert [record.getMessage() for record in caplog.records] == [
+        "event=modbus-failed reason=there is no family `9400`"
+    ]
+
+
 @given(st.binary(min_size=1, max_size=253))
-async def test_any_request_has_an_answer_that_fits_it(pdu: bytes) -> None:
+def test_any_request_has_an_answer_that_fits_it(pdu: bytes) -> None:
     found = answered(pdu)
     assert found[0] & 0x7F == pdu[0] & 0x7F
     assert 2 <= len(found) <= 253
 
 
 @given(st.lists(st.binary(min_size=1, max_size=253), max_size=5), st.data())
-async def test_a_stream_is_cut_into_telegrams_wherever_its_segments_end(
+def test_a_stream_is_cut_into_telegrams_wherever_its_segments_end(
     pdus: list[bytes], data: st.DataObject
 ) -> None:
     stream = b"".join(struct.pack(">HHHB", number, 0, len(pdu) + 1, 7) + pdu
@@ -130,7 +158,7 @@ async def test_a_stream_is_cut_into_telegrams_wherever_its_segments_end(
     "0001 0001 0006 01", "0001 0000 0001 01", "0001 0000 0000 01", "0001 0000 00FF 01",
     "0001 0000 FFFF 01", "4745 5420 2F20 48",
 ])  # fmt: skip
-async def test_what_is_no_modbus_tcp_ends_the_connection(head: str) -> None:
+def test_what_is_no_modbus_tcp_ends_the_connection(head: str) -> None:
     with pytest.raises(anyio.BrokenResourceError):
         split(bytes.fromhex(head))
 
@@ -140,7 +168,7 @@ async def test_what_is_no_modbus_tcp_ends_the_connection(head: str) -> None:
     ("::ffff:192.0.2.7", True), ("2001:db8::9", True), ("2001:db9::9", False), ("", False),
     ("fe80::1%eth0", False), ("nonsense", False),
 ])  # fmt: skip
-async def test_who_may_connect(client: str, allowed: bool) -> None:
+def test_who_may_connect(client: str, allowed: bool) -> None:
     networks = ("192.0.2.7/32", "198.51.100.0/24", "2001:db8::/64")
     assert server(allow=networks).is_allowed(client) is allowed
 

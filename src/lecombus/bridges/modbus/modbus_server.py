@@ -32,6 +32,7 @@ from pymodbus.pdu.register_message import (
 )
 
 from lecombus.bridges.modbus.register_values import ModbusError, ModbusException
+from lecombus.errors import LecombusError
 
 __all__ = ["MOST", "ModbusServer", "Registers"]
 
@@ -98,6 +99,7 @@ class ModbusServer:
         self._decoder = DecodePDU(True)
         self._framer = FramerSocket(self._decoder)
         self._refused, self._refused_due_s = 0, -math.inf
+        self._failure = ""
         self._connections: dict[SocketStream, _Connection] = {}
 
     def is_allowed(self, client: str) -> bool:
@@ -135,6 +137,12 @@ class ModbusServer:
             logger.warning("event=modbus-client-refused client=%s count=%d", client, self._refused)
             self._refused = 0
 
+    def _say_failed(self, error: LecombusError) -> None:
+        """Log why a request cannot be answered, once for each reason."""
+        if str(error) != self._failure:
+            self._failure = str(error)
+            logger.error("event=modbus-failed reason=%s", error)
+
     async def _make_room(self) -> None:
         """End the connection that was idle longest, where there are too many."""
         open_ones = [one for one in self._connections.values() if not one.scope.cancel_called]
@@ -170,6 +178,9 @@ class ModbusServer:
             return self._carry_out(client, self._decoded(pdu))
         except ModbusError as exc:
             return ExceptionResponse(pdu[0] & 0x7F, exc.code)
+        except LecombusError as exc:  # such as a family that only a newer daemon knows
+            self._say_failed(exc)
+            return ExceptionResponse(pdu[0] & 0x7F, ModbusException.FAILURE)
 
     def _decoded(self, pdu: bytes) -> ModbusPDU:
         """Return a request that is whole and within the bounds of the protocol.
@@ -184,12 +195,15 @@ class ModbusServer:
             is_whole = len(pdu) > WRITE_HEAD_BYTES and len(pdu) == WRITE_HEAD_BYTES + pdu[5]
         else:
             is_whole = len(pdu) == FIXED_BYTES
-        request = self._decoder.decode(pdu) if is_whole else None
-        if request is None:
+        if not is_whole:
             raise ModbusError(ModbusException.BAD_VALUE)
         most = MOST_WRITTEN if function == WRITE_SEVERAL else MOST_READ
-        count = 1 if function == WRITE_ONE else request.count
+        count = 1 if function == WRITE_ONE else int.from_bytes(pdu[3:5], "big")
         if not 1 <= count <= most or (function == WRITE_SEVERAL and pdu[5] != 2 * count):
+            raise ModbusError(ModbusException.BAD_VALUE)
+        # Only now: pymodbus logs each request that it cannot decode, which a client could repeat.
+        request = self._decoder.decode(pdu)
+        if request is None:
             raise ModbusError(ModbusException.BAD_VALUE)
         if request.address + count - 1 > LAST_REGISTER:
             raise ModbusError(ModbusException.NO_SUCH_REGISTER)
