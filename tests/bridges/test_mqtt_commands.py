@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import random
+from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -310,3 +312,41 @@ def test_a_daemon_that_is_away_or_does_not_answer_is_said() -> None:
         assert (bench.outcomes, bench.kinds) == (["refused"], ["daemon-away"])
 
     with_bench(script)
+
+
+class KeptHere(SeenCommands):
+    """Kept in a file, without a thread, which no virtual time waits for."""
+
+    is_kept = False
+
+
+def test_of_a_thousand_commands_sent_twice_none_is_carried_out_twice(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Across ends of the bridge, with repeats under way, and a daemon that loses answers."""
+    monkeypatch.setattr("os.fdatasync", lambda descriptor: None)
+    chance = random.Random(13)
+    asked: Counter[str] = Counter()
+    wanted = [f"{number}" for number in range(1000)]
+    answered: set[bytes] = set()
+    for _ in range(4):  # four runs of the bridge
+        bench = Bench(tmp_path / "commands")
+        bench.commands._seen = KeptHere(tmp_path / "commands")
+
+        async def script(bench: Bench) -> None:
+            for number in chance.sample(wanted, 700):
+                for _ in range(2):
+                    bench.take("feeder/set/C0046", number, correlation=number.encode(), qos=1,
+                               expiry_s=3600)  # fmt: skip
+                bench.daemon.takes_s = chance.choice([0.0, 0.05])
+                if chance.random() < 0.05:
+                    await anyio.sleep(chance.random())
+                await anyio.sleep(0.02)
+            # Cancelled here, with commands that wait and one that may be under way.
+
+        with_bench(script, bench)
+        asked.update(str(body["value"]) for _, _, body, _ in bench.daemon.requests)
+        answered |= {one.response for one in bench.answers if one.response is not None}
+    assert max(asked.values()) == 1
+    assert len(asked) > 600
+    assert len(answered) > len(asked) * 0.9

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import signal
+import subprocess
 import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+import anyio
 import pytest
 
+from lecombus.bridges.mqtt.broker import BrokerError, Limits, WillLimits, open_broker
+from lecombus.bridges.mqtt.retained import Message
+from lecombus.roster import MqttEntry
+from support.certificates import make_certificates
 from support.daemon_host import Daemon, running, short_dir, until
 from support.mqtt_parts import Bridge, Broker, MqttClient, bridge, broker
+from support.real_parts import require
 from support.rosters import Wanted, roster_text
 
 pytestmark = [pytest.mark.real, pytest.mark.timeout(90)]
@@ -169,3 +179,106 @@ def written(client: MqttClient) -> list[str]:
     """The values that were written to C0046, as events say it."""
     said = [json.loads(one.text) for one in client.all(f"{ROOT}/feeder/event")]
     return [one["value"] for one in said if one["kind"] == "write" and one.get("code") == "C0046"]
+
+
+# What paho leaves open when a handshake fails, the garbage collector closes.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_tls_certificate_password_and_limits_of_a_real_broker(tmp_path: Path) -> None:
+    made = make_certificates(tmp_path)
+    (tmp_path / "password").write_text("right\n")
+    subprocess.run(
+        [require("mosquitto_passwd"), "-b", "-c", tmp_path / "users", "hall-3", "right"],
+        check=True, capture_output=True,
+    )  # fmt: skip
+    rows = (f"cafile {made.path('ca.pem')}", f"certfile {made.path('server.pem')}",
+            f"keyfile {made.path('server.key')}", "require_certificate true",
+            f"password_file {tmp_path / 'users'}", "max_inflight_messages 3",
+            "max_packet_size 2000")  # fmt: skip
+    with broker(tmp_path, more="\n".join(rows), anonymous=False) as message_broker:
+        right = MqttEntry(
+            host="localhost", port=message_broker.port, ca=str(made.path("ca.pem")),
+            certificate=str(made.path("plc.pem")), key=str(made.path("plc.key")),
+            username="hall-3", password_file=str(tmp_path / "password"),
+        )  # fmt: skip
+        limits, sent = anyio.run(connected, right)
+        assert (limits.receive_maximum, limits.packet_bytes, limits.qos) == (3, 2000, 2)
+        assert sent == [True, False]  # the second is larger than the broker takes
+        (tmp_path / "wrong").write_text("wrong\n")
+        for key, file in (("password_file", "wrong"), ("certificate", None), ("ca", None)):
+            given = {key: None if file is None else str(tmp_path / file)}
+            if key == "certificate":
+                given["key"] = None
+            with pytest.raises(BrokerError):
+                anyio.run(connected, right.model_copy(update=given))
+        with pytest.raises(BrokerError):  # the certificate is not for this name
+            anyio.run(connected, right.model_copy(update={"host": "127.0.0.2"}))
+        gc.collect()
+
+
+async def connected(entry: MqttEntry) -> tuple[Limits, list[bool]]:
+    """Connect, and send a small and a large message."""
+    will = Message("test/will", b"gone", 1)
+    async with open_broker(entry, "test", will, WillLimits(), lambda incoming: None) as found:
+        sent = [await found.publish(Message("test/a", size * b"x", 1)) for size in (10, 5000)]
+        for number in range(10):
+            await found.publish(Message(f"test/{number}", b"x", 1))
+        return found.limits, sent
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1500)
+def test_of_a_thousand_commands_sent_twice_each_is_carried_out_once() -> None:
+    """With QoS 1 and correlation data; broker and bridge are started again in between."""
+    with short_dir() as folder, served(folder) as (message_broker, daemon, its_bridge):
+        with message_broker.client(f"{ROOT}/feeder/state", session="sender") as client:
+            shows(client, "feeder/state", "online")
+            send_twice(client, range(400))
+        message_broker.end()
+        message_broker.start()
+        until(lambda: its_bridge.log().count("mqtt-connected") == 2, "connected", within_s=60)
+        with message_broker.client("answers/test", session="sender") as client:
+            send_twice(client, range(300, 700))
+            its_bridge.process.kill()
+            its_bridge.process.wait()
+            with bridge(folder) as another:
+                until(lambda: "mqtt-connected" in another.log(), "connected", within_s=60)
+                send_twice(client, range(1000))
+        counts = Counter(
+            row["fields"]["value"] for row in journal_rows(daemon)
+            if row["what"] == "write" and row["fields"].get("client") == "mqtt"
+        )  # fmt: skip
+        assert len(counts) > 900
+        assert max(counts.values()) == 1
+
+
+def send_twice(client: MqttClient, numbers: range) -> None:
+    """Send commands with values of their own, each twice, and wait for the answers to the last."""
+    for number in numbers:
+        for _ in range(2):
+            client.publish(
+                f"{ROOT}/feeder/set/C0046", f"{number / 50:.2f}", qos=1, expiry_s=3000,
+                correlation=f"{number}".encode(), response="answers/test",
+            )  # fmt: skip
+        if number % 40 == 39:  # no more may wait for one drive
+            until_answered(client, f"{number}-{time.monotonic()}".encode())
+
+
+def until_answered(client: MqttClient, correlation: bytes) -> None:
+    """Wait until all commands for the drive that were sent before are answered."""
+    client.publish(f"{ROOT}/feeder/do/none", response="answers/test", correlation=correlation)
+    until(
+        lambda: any(one.correlation == correlation for one in client.all("answers/test")),
+        "all before are answered", within_s=300,
+    )  # fmt: skip
+
+
+def journal_rows(daemon: Daemon) -> list[dict[str, Any]]:
+    """The ends of all that was asked, in order."""
+    rows: list[dict[str, Any]] = []
+    after = 0
+    while True:
+        page = daemon.get(f"/v1/journal?after={after}&limit=500")
+        rows += [row for row in page["rows"] if row.get("asked")]
+        if page["next"] is None:
+            return rows
+        after = page["next"]

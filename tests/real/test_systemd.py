@@ -91,9 +91,10 @@ def test_the_unit_exposes_little_of_the_system(unit: Path) -> None:
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr
 
 
-def test_the_unit_of_the_modbus_bridge_is_right_and_exposes_little(tmp_path: Path) -> None:
-    text = (DEPLOY / "lecombus-modbus@.service").read_text()
-    path = tmp_path / "lecombus-modbus@hall-3.service"
+@pytest.mark.parametrize("kind", ["modbus", "mqtt"])
+def test_the_unit_of_a_bridge_is_right_and_exposes_little(tmp_path: Path, kind: str) -> None:
+    text = (DEPLOY / f"lecombus-{kind}@.service").read_text()
+    path = tmp_path / f"lecombus-{kind}@hall-3.service"
     path.write_text(text.replace("/opt/lecombus/bin/lecombus", sys.executable))
     assert complaints(path) == ""
     words = ("security", "--offline=yes", "--threshold=15", "--no-pager", path)

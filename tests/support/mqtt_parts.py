@@ -134,12 +134,14 @@ class Broker:
     folder: Path
     port: int
     more: str = ""
+    anonymous: bool = True
     process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
         """Start it, with what it saved."""
+        anonymous = "true" if self.anonymous else "false"
         rows = [
-            f"listener {self.port} 127.0.0.1", "allow_anonymous true", "persistence true",
+            f"listener {self.port} 127.0.0.1", f"allow_anonymous {anonymous}", "persistence true",
             f"persistence_location {self.folder}/", "autosave_interval 1", "user root", self.more,
         ]  # fmt: skip
         config = self.folder / "mosquitto.conf"
@@ -182,13 +184,12 @@ class Broker:
 
 
 @contextlib.contextmanager
-def broker(folder: Path, *, more: str = "", starts: bool = True) -> Iterator[Broker]:
+def broker(folder: Path, *, more: str = "", anonymous: bool = True) -> Iterator[Broker]:
     """A broker of the test's own."""
     require("mosquitto")
-    made = Broker(folder, free_port(), more)
+    made = Broker(folder, free_port(), more, anonymous)
     try:
-        if starts:
-            made.start()
+        made.start()
         yield made
     finally:
         made.end(kill=True)

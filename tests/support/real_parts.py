@@ -17,6 +17,7 @@ __all__ = ["missing", "require"]
 
 _PACKAGES = {
     "mosquitto": "mosquitto",
+    "mosquitto_passwd": "mosquitto",
     "apt-get": "apt",
     "cp": "coreutils",
     "dpkg-deb": "dpkg",

@@ -1,0 +1,86 @@
+"""One connection to a broker: its limits, its files, and the names of aiomqtt that it relies on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import aiomqtt
+import paho.mqtt.client as paho
+import pytest
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode
+
+from lecombus.bridges.mqtt.broker import (
+    BrokerError,
+    Limits,
+    WillLimits,
+    password_of,
+    properties_of,
+    refusal,
+    tls_of,
+)
+from lecombus.bridges.mqtt.retained import Message
+from lecombus.roster import MqttEntry
+from support.certificates import make_certificates
+
+ENTRY = MqttEntry(host="127.0.0.1", port=1883, tls=False)
+
+
+def test_the_private_names_of_the_libraries_are_there() -> None:
+    for name in ("_on_connect", "_on_message"):
+        assert callable(getattr(aiomqtt.Client, name))
+    for name in ("_sock_close", "connect_timeout"):
+        assert hasattr(paho.Client, name)
+
+
+def test_what_a_broker_says_of_itself_is_read() -> None:
+    assert Limits.of(None) == Limits()
+    said = Properties(PacketTypes.CONNACK)  # type: ignore[no-untyped-call]
+    said.ReceiveMaximum, said.MaximumPacketSize, said.MaximumQoS = 3, 500, 1
+    said.RetainAvailable, said.WildcardSubscriptionAvailable = 0, 0
+    assert Limits.of(said) == Limits(3, 500, 1, retain=False, wildcards=False)
+
+
+def test_a_will_that_the_broker_does_not_take_is_made_smaller() -> None:
+    limits = WillLimits()
+    for code, left in ((154, (False, 1)), (155, (False, 0)), (134, (False, 0))):
+        exc = aiomqtt.MqttCodeError(ReasonCode(PacketTypes.CONNACK, identifier=code))
+        assert isinstance(refusal(exc, limits), BrokerError)
+        assert (limits.retain, limits.qos) == left
+
+
+def test_texts_from_drives_do_not_break_a_message() -> None:
+    message = Message("a", b"1", properties=(("reason", "a\0b" + "x" * 70_000),), expiry_s=3)
+    packed = properties_of(message).pack()  # type: ignore[no-untyped-call]
+    assert len(packed) < 1100
+
+
+def test_the_password_is_the_first_line_of_its_file(tmp_path: Path) -> None:
+    file = tmp_path / "password"
+    entry = ENTRY.model_copy(update={"username": "u", "password_file": str(file)})
+    assert password_of(ENTRY) is None
+    with pytest.raises(BrokerError, match="cannot be read"):
+        password_of(entry)
+    file.write_text("\nx")
+    with pytest.raises(BrokerError, match="no password"):
+        password_of(entry)
+    file.write_text("secret word\n")
+    assert password_of(entry) == "secret word"
+
+
+def test_files_of_tls_that_are_wrong_are_said(tmp_path: Path) -> None:
+    assert tls_of(ENTRY) is None
+    tls = ENTRY.model_copy(update={"tls": True, "ca": str(tmp_path / "ca.pem")})
+    with pytest.raises(BrokerError, match=r"ca\.pem"):
+        tls_of(tls)
+    (tmp_path / "ca.pem").write_text("no certificate")
+    with pytest.raises(BrokerError, match=r"ca\.pem"):
+        tls_of(tls)
+    made = make_certificates(tmp_path)
+    assert tls_of(tls) is not None
+    shows = {"certificate": str(made.path("plc.pem")), "key": str(made.path("ca.pem"))}
+    with pytest.raises(BrokerError, match=r"plc\.pem"):
+        tls_of(tls.model_copy(update=shows))
+    shows["key"] = str(made.path("plc.key"))
+    assert tls_of(tls.model_copy(update=shows)) is not None
