@@ -9,6 +9,7 @@ from typing import Any
 import anyio
 import pytest
 
+from bridges.test_notify_conditions import Seen
 from lecombus.bridges.notify.bridge import Sender
 from lecombus.bridges.notify.channels import NotSentError, short, variables
 from lecombus.bridges.notify.conditions import Happening
@@ -208,6 +209,29 @@ def test_a_thousand_trips_in_a_minute_are_a_few_messages_with_all_of_them() -> N
     expected = sum(number // 31 % 2 == 0 for number in range(1000))
     assert begun(channel) == expected
     assert all(len(message.entries) <= 31 for _, message in channel.sent)
+
+
+def test_a_loose_connector_that_trips_two_drives_all_day_is_a_few_messages_an_hour() -> None:
+    """From the events of the line to the messages."""
+    channel = Channel()
+
+    async def script(give: Callable[[Happening], None]) -> None:
+        seen = Seen()
+        seen.connect()
+        for number in range(3600):
+            for drive in ("feeder", "belt"):
+                seen.fault(OH if number % 2 == 0 else None, drive)
+            while seen.given:
+                give(seen.given.pop(0))
+            await anyio.sleep(1)
+        await anyio.sleep(600)
+
+    send(script, channel)
+    assert len(channel.sent) <= 5 + 3600 / 300 + 1
+    assert begun(channel) == 3600
+    assert {entry.drive for _, message in channel.sent for entry in message.entries} == {
+        "feeder", "belt",
+    }  # fmt: skip
 
 
 def test_what_belongs_together_is_one_message_after_the_time_to_gather() -> None:
