@@ -10,6 +10,7 @@ import json
 import math
 import os
 import re
+import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -135,6 +136,19 @@ def test_prometheus_takes_every_page_and_sees_which_drives_are_up(watched: Watch
     assert up == {**dict.fromkeys(THERE, "1"), "ghost": "0"}
     scraped = watched.api.get("/targets").json()["data"]["activeTargets"][0]
     assert (scraped["health"], scraped["lastError"]) == ("up", "")
+
+
+def test_promtool_finds_nothing_wrong_with_a_page_that_has_all_kinds_of_metrics(
+    watched: Watched,
+) -> None:
+    page = watched.daemon.client.get("/metrics").text
+    for metric in ("drive_fault_number", "journal_up", "drive_latched", "watchdog_time_seconds"):
+        assert f"\nlecombus_{metric}{{" in page
+    done = subprocess.run(
+        [require("promtool"), "check", "metrics"],
+        input=page, capture_output=True, text=True, timeout=30, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_rules_have_no_error_in_a_real_prometheus(watched: Watched) -> None:
