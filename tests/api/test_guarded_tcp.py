@@ -281,9 +281,10 @@ async def test_an_oversized_or_slow_request_is_cut_also_with_a_token(
     assert line.ops.asked == []
 
 
-async def test_two_thousand_connections_end_and_a_stop_comes_through(
+async def test_a_flood_of_connections_ends_and_a_stop_comes_through(
     line: Line, tmp_path: Path, certificates: Certificates
 ) -> None:
+    """2,000, for longer: `tests/real/test_hostile.py`."""
     async with guarded_door(line, tmp_path, certificates) as door:
         await door.give("plc", "control")
 
@@ -299,11 +300,11 @@ async def test_two_thousand_connections_end_and_a_stop_comes_through(
             assert (await client.get("/v1/line")).status_code == 200
             async with anyio.create_task_group() as tasks:
                 for _ in range(20):
-                    tasks.start_soon(flood, 100)
+                    tasks.start_soon(flood, 30)
                 await asyncio.sleep(0.2)
                 assert (await client.post("/v1/stop", json=STOP)).status_code == 200
             assert (await client.get("/v1/line")).status_code == 200
-        assert len(opened) > 1000
+        assert len(opened) > 300
         for one in opened:
             one.close()
     assert [one[0] for one in line.ops.asked] == ["stop"]

@@ -17,8 +17,10 @@ import httptools
 import pytest
 from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
+from uvicorn.server import Server
 
 from lecombus.api.connection import HttpConnection, PatientFlow
+from lecombus.api.server import TcpServer
 from lecombus.api.tcp_connection import TcpConnection
 from lecombus.api.tls_connection import TlsConnection
 
@@ -125,3 +127,26 @@ def test_the_parser_has_the_calls_that_a_connection_makes() -> None:
         "set_dangerous_leniencies",
     ):  # fmt: skip
         assert callable(getattr(parser, name)), name
+
+
+@pytest.mark.parametrize("name", ["startup", "shutdown", "capture_signals"])
+def test_what_a_server_overrides_is_called_and_has_the_same_parameters(name: str) -> None:
+    ours = inspect.signature(getattr(TcpServer, name)).parameters
+    assert list(ours) == list(inspect.signature(getattr(Server, name)).parameters)
+    assert name in calls(Server, "serve") | calls(Server, "_serve")
+
+
+def test_uvicorn_makes_a_connection_as_our_listener_does() -> None:
+    used = attributes(tree_of(TcpServer), {"self"}, ast.Load) - set(vars(TcpServer))
+    used = {name for name in used if not name.startswith("_")}
+    assert used == {"config", "server_state", "lifespan"}
+    assert used <= has(Server)
+    startup = inspect.getsource(Server.startup)
+    for given in (
+        "config=config", "server_state=self.server_state", "app_state=self.lifespan.state",
+        "if sockets is not None",
+    ):  # fmt: skip
+        assert given in startup
+    assert {"config", "server_state", "app_state"} <= set(
+        inspect.signature(HttpToolsProtocol).parameters
+    )
