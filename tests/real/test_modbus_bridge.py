@@ -191,13 +191,14 @@ def test_stops_need_no_lease_and_come_from_every_address_that_may_connect(daemon
             assert refused.value.code == code
 
 
-def test_a_bridge_that_is_killed_leaves_no_motor_running(daemon: Daemon) -> None:
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_bridge_that_dies_or_hangs_leaves_no_motor_running(daemon: Daemon, number: int) -> None:
     stops = daemon.log().count("event=lapse-stopped")
     with bridge(daemon) as one, cycling(one.port, FEEDER + 40) as plc:
         plc.setpoint = 100000
         until(one.controls, "the lease is held")
         enable(one, plc)
-        one.bridge.send_signal(signal.SIGKILL)
+        one.bridge.send_signal(number)
         until(lambda: daemon.log().count("event=lapse-stopped") > stops, "the drive is stopped")
 
 

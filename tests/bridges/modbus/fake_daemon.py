@@ -11,7 +11,7 @@ import anyio
 import httpx2
 
 from client.conftest import line_of
-from lecombus.bridges.modbus.drive_control import DriveControl
+from lecombus.bridges.modbus.drive_control import PlcControl
 from lecombus.bridges.modbus.register_map import Command
 from support.virtual_loop import run
 
@@ -115,7 +115,7 @@ class FakeDaemon:
 class Bench:
     """The control of one drive, a daemon behind it, and a PLC before it."""
 
-    def __init__(self, daemon: FakeDaemon, control: DriveControl, facts: SimpleNamespace) -> None:
+    def __init__(self, daemon: FakeDaemon, control: PlcControl, facts: SimpleNamespace) -> None:
         self.daemon = daemon
         self.control = control
         self.facts = facts
@@ -169,7 +169,7 @@ def on_a_bench(test: Callable[[Bench], Awaitable[None]]) -> None:
         facts.lease_time_s = lambda drive: LEASE_S
         line = line_of(httpx2.MockTransport(daemon.answer), repeat_for_s=0.0)
         async with line.connection.http, anyio.create_task_group() as tasks:
-            control = DriveControl("feeder", lambda: line, tasks, facts)
+            control = PlcControl("feeder", lambda: line, tasks, facts)
             await test(Bench(daemon, control, facts))
             tasks.cancel_scope.cancel()
 

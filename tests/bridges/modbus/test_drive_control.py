@@ -7,7 +7,7 @@ import pytest
 
 from bridges.modbus.fake_daemon import LEASE_S, OTHER_PLC, PLC, Bench, on_a_bench
 from lecombus.bridges.modbus.drive_control import LONGEST_RETRY_S, STOP_AGAIN_S
-from lecombus.bridges.modbus.register_map import OUTCOMES, Command, Reason
+from lecombus.bridges.modbus.register_map import OUTCOMES, Command, WriteReason
 
 PENDING, DONE, VERIFIED, REFUSED, SUPERSEDED, UNKNOWN = (
     OUTCOMES.index(word)
@@ -102,7 +102,7 @@ def test_a_command_register_that_was_set_before_the_lease_starts_nothing() -> No
     async def test(bench: Bench) -> None:
         await bench.cycle(5.0, Command.ENABLE, 354000)
         assert bench.daemon.sent == ["set-speed 35.4 Hz"]
-        assert bench.command == (1, REFUSED, Reason.NO_LEASE)
+        assert bench.command == (1, REFUSED, WriteReason.NO_LEASE)
         assert control_state(bench) == HELD
 
     on_a_bench(test)
@@ -126,10 +126,10 @@ def test_a_command_that_was_another_one_before_is_refused() -> None:
     async def test(bench: Bench) -> None:
         await enabled(bench)
         await bench.cycle(0.5, Command.RESET_FAULT)
-        assert bench.command == (2, REFUSED, Reason.NOT_FROM_0)
+        assert bench.command == (2, REFUSED, WriteReason.NOT_FROM_0)
         await bench.cycle(0.5, Command.QUICK_STOP)
         await bench.cycle(0.5, Command.ENABLE)
-        assert bench.command == (4, REFUSED, Reason.NOT_FROM_0)
+        assert bench.command == (4, REFUSED, WriteReason.NOT_FROM_0)
         assert bench.daemon.sent == ["enable", "quick-stop feeder"]
 
     on_a_bench(test)
@@ -164,7 +164,7 @@ def test_a_0_that_was_written_before_the_lease_does_not_count() -> None:
         assert control_state(bench) == HELD
         bench.control.write_command(PLC, Command.ENABLE)
         await anyio.sleep(0.1)
-        assert bench.command == (1, REFUSED, Reason.NOT_FROM_0)
+        assert bench.command == (1, REFUSED, WriteReason.NOT_FROM_0)
         bench.control.write_command(PLC, Command.NONE)
         await beats(bench, LEASE_S)
         await anyio.sleep(LEASE_S + 0.1)
@@ -172,7 +172,7 @@ def test_a_0_that_was_written_before_the_lease_does_not_count() -> None:
         await beats(bench, 2.0)
         bench.control.write_command(PLC, Command.ENABLE)
         await anyio.sleep(0.1)
-        assert bench.command == (2, REFUSED, Reason.NOT_FROM_0)
+        assert bench.command == (2, REFUSED, WriteReason.NOT_FROM_0)
         assert bench.daemon.sent == []
 
     on_a_bench(test)
@@ -184,7 +184,7 @@ def test_after_a_stop_the_register_must_be_0_again() -> None:
         bench.control.write_stop(Command.QUICK_STOP)
         bench.control.write_command(PLC, Command.ENABLE)
         await anyio.sleep(0.1)
-        assert bench.command == (2, REFUSED, Reason.NOT_FROM_0)
+        assert bench.command == (2, REFUSED, WriteReason.NOT_FROM_0)
         assert bench.daemon.sent == ["quick-stop feeder"]
 
     on_a_bench(test)
@@ -198,8 +198,8 @@ def test_another_plc_gives_no_setpoint_and_no_command_under_the_lease_of_the_fir
         bench.control.write_command(OTHER_PLC, Command.ENABLE)
         await anyio.sleep(0.1)
         assert bench.daemon.sent == ["enable"]
-        assert bench.setpoint == (1, REFUSED, Reason.NO_LEASE)
-        assert bench.command == (2, REFUSED, Reason.NO_LEASE)
+        assert bench.setpoint == (1, REFUSED, WriteReason.NO_LEASE)
+        assert bench.command == (2, REFUSED, WriteReason.NO_LEASE)
 
     on_a_bench(test)
 
@@ -212,7 +212,7 @@ def test_a_stop_needs_no_lease_and_goes_out_once() -> None:
         bench.control.write_stop(Command.INHIBIT)
         await anyio.sleep(0.1)
         assert bench.daemon.sent == ["quick-stop feeder", "inhibit feeder"]
-        assert bench.command == (2, VERIFIED, Reason.NONE)
+        assert bench.command == (2, VERIFIED, WriteReason.NONE)
 
     on_a_bench(test)
 
@@ -224,7 +224,7 @@ def test_a_stop_that_did_not_end_well_is_sent_again_while_it_is_written() -> Non
             bench.control.write_stop(Command.QUICK_STOP)
             await anyio.sleep(0.1)
         assert len(bench.daemon.sent) == 10.0 / STOP_AGAIN_S
-        assert bench.command[1:] == (UNKNOWN, Reason.NO_ANSWER)
+        assert bench.command[1:] == (UNKNOWN, WriteReason.NO_ANSWER)
         bench.daemon.outcome, bench.daemon.kind = "verified", ""
         for _ in range(100):
             bench.control.write_stop(Command.QUICK_STOP)
@@ -253,7 +253,7 @@ def test_a_stop_from_another_plc_is_taken_and_the_controller_must_begin_from_0()
         bench.control.write_stop(Command.QUICK_STOP)
         await bench.cycle(1.0, Command.ENABLE)
         assert bench.daemon.sent == ["enable", "quick-stop feeder"]
-        assert bench.command[1:] == (REFUSED, Reason.NOT_FROM_0)
+        assert bench.command[1:] == (REFUSED, WriteReason.NOT_FROM_0)
 
     on_a_bench(test)
 
@@ -270,7 +270,7 @@ def test_a_stop_prevents_an_enable_that_waits_behind_its_setpoint() -> None:
         bench.control.stopped_with_all()
         await anyio.sleep(0.7)
         assert bench.daemon.sent == ["set-speed 10 Hz", "enable", "set-speed 20 Hz"]
-        assert bench.command == (2, SUPERSEDED, Reason.STOPPED)
+        assert bench.command == (2, SUPERSEDED, WriteReason.STOPPED)
 
     on_a_bench(test)
 
@@ -281,7 +281,7 @@ def test_a_setpoint_goes_out_when_it_changes_and_not_in_every_cycle() -> None:
         await bench.cycle(10.0, setpoint=354000)
         await bench.cycle(10.0, setpoint=-5000)
         assert bench.daemon.sent == ["set-speed 35.4 Hz", "enable", "set-speed -0.5 Hz"]
-        assert bench.setpoint[1:] == (VERIFIED, Reason.NONE)
+        assert bench.setpoint[1:] == (VERIFIED, WriteReason.NONE)
 
     on_a_bench(test)
 
@@ -306,11 +306,11 @@ def test_a_setpoint_that_failed_is_tried_again_ever_more_seldom() -> None:
         bench.daemon.asked_at_s.clear()
         bench.daemon.outcome, bench.daemon.kind = "refused", "nak"
         await bench.cycle(300.0, setpoint=500_000)
-        assert bench.setpoint[1:] == (REFUSED, Reason.NAK)
+        assert bench.setpoint[1:] == (REFUSED, WriteReason.NAK)
         assert 6 <= len(bench.daemon.asked_at_s) <= 6 + 300.0 / LONGEST_RETRY_S
         bench.daemon.outcome, bench.daemon.kind = "done", ""
         await bench.cycle(0.5, setpoint=400_000)
-        assert bench.setpoint[1:] == (DONE, Reason.NONE)
+        assert bench.setpoint[1:] == (DONE, WriteReason.NONE)
 
     on_a_bench(test)
 
@@ -320,11 +320,11 @@ def test_a_drive_that_was_away_is_given_its_setpoint_again() -> None:
         await enabled(bench, 354000)
         bench.facts.online = False
         await bench.cycle(1.0, setpoint=354000)
-        assert bench.setpoint[1:] == (REFUSED, Reason.NO_ANSWER)
+        assert bench.setpoint[1:] == (REFUSED, WriteReason.NO_ANSWER)
         bench.facts.online = True
         await bench.cycle(1.0, setpoint=354000)
         assert bench.daemon.sent == ["set-speed 35.4 Hz", "enable", "set-speed 35.4 Hz"]
-        assert bench.setpoint[1:] == (VERIFIED, Reason.NONE)
+        assert bench.setpoint[1:] == (VERIFIED, WriteReason.NONE)
 
     on_a_bench(test)
 
@@ -349,7 +349,7 @@ def test_a_setpoint_that_the_drive_refuses_prevents_the_enable() -> None:
         bench.daemon.outcome, bench.daemon.kind = "refused", "bad-value"
         await bench.cycle(1.0, Command.ENABLE, 9_990_000)
         assert bench.daemon.sent.count("enable") == 1
-        assert bench.command[1:] == (REFUSED, Reason.BAD_VALUE)
+        assert bench.command[1:] == (REFUSED, WriteReason.BAD_VALUE)
 
     on_a_bench(test)
 
@@ -360,8 +360,8 @@ def test_a_latched_drive_that_shows_no_stop_is_not_enabled_at_its_old_setpoint()
         await bench.cycle(0.5, setpoint=354000)
         await bench.cycle(1.0, Command.ENABLE, 354000)
         assert bench.daemon.sent == []
-        assert bench.command == (1, REFUSED, Reason.LATCHED)
-        assert bench.setpoint[1:] == (REFUSED, Reason.LATCHED)
+        assert bench.command == (1, REFUSED, WriteReason.LATCHED)
+        assert bench.setpoint[1:] == (REFUSED, WriteReason.LATCHED)
         await bench.cycle(0.5, Command.QUICK_STOP, 354000)
         await bench.cycle(0.5, Command.NONE, 354000)
         await bench.cycle(0.5, Command.ENABLE, 354000)
@@ -373,7 +373,7 @@ def test_a_latched_drive_that_shows_no_stop_is_not_enabled_at_its_old_setpoint()
 def test_setpoints_of_a_plc_without_the_lease_are_never_sent() -> None:
     async def test(bench: Bench) -> None:
         bench.control.write_setpoint(OTHER_PLC, 999)
-        assert bench.setpoint == (1, REFUSED, Reason.NO_LEASE)
+        assert bench.setpoint == (1, REFUSED, WriteReason.NO_LEASE)
         await bench.cycle(1.0)
         await bench.cycle(1.0, Command.ENABLE)
         assert bench.daemon.sent == ["enable"]
@@ -387,7 +387,7 @@ def test_what_is_under_way_when_the_lease_ends_is_unknown() -> None:
         bench.daemon.takes_s = 30.0
         bench.control.write_command(PLC, Command.ENABLE)
         await anyio.sleep(LEASE_S + 0.5)
-        assert bench.command == (1, UNKNOWN, Reason.NO_LEASE)
+        assert bench.command == (1, UNKNOWN, WriteReason.NO_LEASE)
 
     on_a_bench(test)
 
@@ -412,10 +412,13 @@ def test_a_lease_of_another_client_is_said_and_asked_for_again_each_second() -> 
     async def test(bench: Bench) -> None:
         bench.daemon.is_held_by_other = True
         await bench.cycle(3.0)
-        assert bench.registers("control state", "lease reason") == (COUNTS, Reason.HELD_BY_OTHER)
+        assert bench.registers("control state", "lease reason") == (
+            COUNTS,
+            WriteReason.HELD_BY_OTHER,
+        )
         bench.daemon.is_held_by_other = False
         await bench.cycle(1.5)
-        assert bench.registers("control state", "lease reason") == (HELD, Reason.NONE)
+        assert bench.registers("control state", "lease reason") == (HELD, WriteReason.NONE)
 
     on_a_bench(test)
 
@@ -426,9 +429,9 @@ def test_a_daemon_that_is_gone_ends_the_lease_and_refuses_what_is_asked() -> Non
         bench.daemon.is_gone = True
         bench.control.write_stop(Command.QUICK_STOP)
         await bench.cycle(LEASE_S + 0.5, Command.NONE)
-        assert bench.command[1:] == (REFUSED, Reason.DAEMON_AWAY)
+        assert bench.command[1:] == (REFUSED, WriteReason.DAEMON_AWAY)
         assert control_state(bench) != HELD
         await bench.cycle(2.0)
-        assert bench.registers("lease reason")[0] == Reason.DAEMON_AWAY
+        assert bench.registers("lease reason")[0] == WriteReason.DAEMON_AWAY
 
     on_a_bench(test)

@@ -13,8 +13,8 @@ from lecombus.bridges.modbus.register_map import (
     REASONS,
     STATES,
     UNITS,
-    Part,
     Register,
+    RegisterPart,
     map_markdown,
     place_of,
     roster_rows,
@@ -23,7 +23,11 @@ from lecombus.bridges.modbus.register_map import (
 from lecombus.drives import FAMILY_NAMES, OperatingState, family
 
 ROOT = Path(__file__).parents[3]
-BORDERS = {Part.ALWAYS: range(20), Part.FRESH: range(20, 40), Part.WRITTEN: range(40, BLOCK)}
+BORDERS = {
+    RegisterPart.ALWAYS: range(20),
+    RegisterPart.FRESH: range(20, 40),
+    RegisterPart.WRITTEN: range(40, BLOCK),
+}
 
 
 def test_the_manual_has_the_table_that_the_program_prints() -> None:
@@ -45,7 +49,7 @@ def test_registers_do_not_overlap_and_stand_in_the_range_of_their_part(
 
 
 def test_what_is_always_read_has_no_gap_so_that_one_request_reads_it() -> None:
-    always = [one for one in DRIVE if one.part is Part.ALWAYS]
+    always = [one for one in DRIVE if one.part is RegisterPart.ALWAYS]
     assert [one.offset for one in always] == list(range(len(always)))
 
 

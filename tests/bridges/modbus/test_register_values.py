@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lecombus.bridges.line_follower import FollowedDrive, FollowedValue, LineFollower
-from lecombus.bridges.modbus.register_map import BLOCK, DRIVE, LINE, STATES, Part
+from lecombus.bridges.modbus.register_map import BLOCK, DRIVE, LINE, STATES, RegisterPart
 from lecombus.bridges.modbus.register_values import ModbusError, ModbusException, RegisterReader
 from lecombus.client import LineStatus, Reading
 
@@ -126,7 +126,7 @@ def test_while_the_daemon_is_away_every_value_is_an_exception_and_states_are_unk
         assert of.read(0, 8)[2] == 0
         assert refused(of, 20) == ModbusException.LECOMBUS_AWAY
         for one in DRIVE:
-            if one.part is Part.FRESH:
+            if one.part is RegisterPart.FRESH:
                 found = refused(of, FEEDER + one.offset, one.words)
                 assert found == ModbusException.LECOMBUS_AWAY
 

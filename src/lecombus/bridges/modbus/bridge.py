@@ -14,14 +14,14 @@ import anyio
 from anyio.abc import TaskGroup
 
 from lecombus.bridges.line_follower import FollowedDrive, LineFollower
-from lecombus.bridges.modbus.drive_control import DriveControl, LastWrite, StopControl
+from lecombus.bridges.modbus.drive_control import LastWrite, PlcControl, StopControl
 from lecombus.bridges.modbus.modbus_server import ModbusServer
 from lecombus.bridges.modbus.register_map import (
     DRIVE,
     LINE,
     Command,
-    Part,
     Register,
+    RegisterPart,
     place_of,
     sources_of,
 )
@@ -41,7 +41,9 @@ REPEAT_FOR_S: Final = 0.0
 """A write whose connection broke is not repeated: the PLC decides, by the outcome."""
 
 READ_ONLY: Final[Mapping[str, int]] = {
-    one.name: 0 for one in (*LINE, *DRIVE) if one.part in (Part.ALWAYS, Part.WRITTEN)
+    one.name: 0
+    for one in (*LINE, *DRIVE)
+    if one.part in (RegisterPart.ALWAYS, RegisterPart.WRITTEN)
 }
 """What the registers of control read while there is none."""
 
@@ -62,7 +64,7 @@ class ModbusBridge:
         self._is_controlling = roster.modbus.control
         self._entries = {entry.name: entry for entry in roster.drives}
         self._line: Line | None = None
-        self._drives: dict[str, DriveControl] = {}
+        self._drives: dict[str, PlcControl] = {}
         self._stop_register = 0
         self._last_stop = LastWrite()
         self._stops = StopControl("all", self.line, tasks, self._last_stop)
@@ -127,7 +129,7 @@ class ModbusBridge:
             for control in self._drives.values():
                 control.stopped_with_all()
 
-    def _write_drive(self, client: str, control: DriveControl, found: Mapping[str, int]) -> None:
+    def _write_drive(self, client: str, control: PlcControl, found: Mapping[str, int]) -> None:
         command = Command(found["command"]) if "command" in found else None
         if command is not None and command.is_stop:
             control.write_stop(command)
@@ -142,9 +144,9 @@ class ModbusBridge:
         if command is not None and not command.is_stop:
             control.write_command(client, command)
 
-    def _control_of(self, drive: str) -> DriveControl:
+    def _control_of(self, drive: str) -> PlcControl:
         if drive not in self._drives:
-            self._drives[drive] = DriveControl(drive, self.line, self._tasks, self)
+            self._drives[drive] = PlcControl(drive, self.line, self._tasks, self)
         return self._drives[drive]
 
     # -- for the registers -------------------------------------------------------------------------
@@ -192,7 +194,7 @@ def written(registers: Sequence[Register], offset: int, values: Sequence[int]) -
     Raises:
         ModbusError: There are no such registers, or half a number of 32 bits was written.
     """
-    layout = {one.offset: one for one in registers if one.part is Part.WRITTEN}
+    layout = {one.offset: one for one in registers if one.part is RegisterPart.WRITTEN}
     found: dict[str, int] = {}
     at = 0
     while at < len(values):

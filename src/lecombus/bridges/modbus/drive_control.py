@@ -29,7 +29,7 @@ from typing import Final, Literal, Protocol
 import anyio
 from anyio.abc import TaskGroup
 
-from lecombus.bridges.modbus.register_map import OUTCOMES, REASONS, SCALE, Command, Reason
+from lecombus.bridges.modbus.register_map import OUTCOMES, REASONS, SCALE, Command, WriteReason
 from lecombus.client import (
     ClientError,
     Lease,
@@ -40,7 +40,7 @@ from lecombus.client import (
     UnreachableError,
 )
 
-__all__ = ["DriveControl", "DriveFacts", "LastWrite", "StopControl"]
+__all__ = ["ControlledDrives", "LastWrite", "PlcControl", "StopControl"]
 
 logger = logging.getLogger(__name__)
 
@@ -80,7 +80,7 @@ class LastWrite:
     sequence: int = 0
     command: Command = Command.NONE
     outcome: int = 0
-    reason: Reason = Reason.NONE
+    reason: WriteReason = WriteReason.NONE
 
     @property
     def is_good(self) -> bool:
@@ -90,16 +90,16 @@ class LastWrite:
     def begin(self, command: Command = Command.NONE) -> int:
         """Take the next one, which is pending; returns its number."""
         self.sequence = (self.sequence + 1) & 0xFFFF
-        self.command, self.outcome, self.reason = command, PENDING, Reason.NONE
+        self.command, self.outcome, self.reason = command, PENDING, WriteReason.NONE
         return self.sequence
 
-    def end(self, sequence: int, outcome: int, reason: Reason = Reason.NONE) -> None:
+    def end(self, sequence: int, outcome: int, reason: WriteReason = WriteReason.NONE) -> None:
         """Say how one ended, unless a later one was begun."""
         if sequence == self.sequence and self.outcome == PENDING:
             self.outcome, self.reason = outcome, reason
 
 
-class DriveFacts(Protocol):
+class ControlledDrives(Protocol):
     """What is known of a drive that its control depends on."""
 
     def is_online(self, drive: str) -> bool:
@@ -112,24 +112,24 @@ class DriveFacts(Protocol):
         """Return the longest time that a lease of it may last, seconds."""
 
 
-async def outcome_of(what: str, ask: Callable[[], Awaitable[Result]]) -> tuple[int, Reason]:
+async def outcome_of(what: str, ask: Callable[[], Awaitable[Result]]) -> tuple[int, WriteReason]:
     """Have something done, and return how it ended as the numbers of the map."""
     try:
         result = await ask()
     except ProblemError as exc:
         logger.warning("event=write-refused what=%s reason=%s", what, exc.problem)
-        return REFUSED, REASONS.get(exc.kind, Reason.OTHER)
+        return REFUSED, REASONS.get(exc.kind, WriteReason.OTHER)
     except UnreachableError as exc:
         logger.warning("event=write-refused what=%s reason=%s", what, exc.problem)
-        return REFUSED, Reason.DAEMON_AWAY
+        return REFUSED, WriteReason.DAEMON_AWAY
     outcome = OUTCOMES.index(str(result.outcome))
     if outcome in GOOD:
-        return outcome, Reason.NONE
+        return outcome, WriteReason.NONE
     logger.warning('event=write-not-done what=%s outcome=%s reason=%s',
                    what, result.outcome, result.reason)  # fmt: skip
     if outcome == SUPERSEDED:
-        return outcome, Reason.STOPPED
-    return outcome, REASONS.get(result.kind or str(result.outcome), Reason.OTHER)
+        return outcome, WriteReason.STOPPED
+    return outcome, REASONS.get(result.kind or str(result.outcome), WriteReason.OTHER)
 
 
 class StopControl:
@@ -168,7 +168,7 @@ class StopControl:
         self._tasks.start_soon(self._send, command, self._last.begin(command))
 
     async def _send(self, command: Command, sequence: int) -> None:
-        outcome, reason = UNKNOWN, Reason.DAEMON_AWAY
+        outcome, reason = UNKNOWN, WriteReason.DAEMON_AWAY
         action: Literal["quick-stop", "inhibit"] = (
             "inhibit" if command is Command.INHIBIT else "quick-stop"
         )
@@ -183,7 +183,7 @@ class StopControl:
             self._last.end(sequence, outcome, reason)
 
 
-class DriveControl:
+class PlcControl:
     """The control of one drive by one PLC at a time.
 
     Args:
@@ -194,7 +194,7 @@ class DriveControl:
     """
 
     def __init__(
-        self, drive: str, line: Callable[[], Line], tasks: TaskGroup, facts: DriveFacts
+        self, drive: str, line: Callable[[], Line], tasks: TaskGroup, facts: ControlledDrives
     ) -> None:
         self.drive = drive
         self._line = line
@@ -214,7 +214,7 @@ class DriveControl:
         self._is_taking = False
         self._take_again_s = 0.0
         self._lease: Lease | None = None
-        self._lease_reason = Reason.NO_LEASE
+        self._lease_reason = WriteReason.NO_LEASE
         self._under_lease: TaskGroup | None = None
         self._is_armed = False
         self._giving = anyio.Lock()
@@ -232,7 +232,7 @@ class DriveControl:
         is_counting = self._has_counted and self._is_heard
         return {
             "control state": 3 if held else 2 if is_counting else 1,
-            "lease reason": Reason.NONE if held else self._lease_reason,
+            "lease reason": WriteReason.NONE if held else self._lease_reason,
             "command sequence": self._last_command.sequence,
             "last command": self._last_command.command,
             "command outcome": self._last_command.outcome,
@@ -305,9 +305,9 @@ class DriveControl:
         sequence = self._last_command.begin(command)
         is_armed, self._is_armed = self._is_armed, False
         if not holds or self._under_lease is None:
-            self._last_command.end(sequence, REFUSED, Reason.NO_LEASE)
+            self._last_command.end(sequence, REFUSED, WriteReason.NO_LEASE)
         elif not is_armed:
-            self._last_command.end(sequence, REFUSED, Reason.NOT_FROM_0)
+            self._last_command.end(sequence, REFUSED, WriteReason.NOT_FROM_0)
         else:
             self._under_lease.start_soon(self._carry_out, command, sequence, self._stops.count)
 
@@ -317,7 +317,7 @@ class DriveControl:
         if is_new:
             self._retry_at_s, self._retry_s = 0.0, FIRST_RETRY_S
             if not self._holds or self._owner != client:
-                self._refuse_setpoint(Reason.NO_LEASE)
+                self._refuse_setpoint(WriteReason.NO_LEASE)
         if self._owner == client:
             self._wanted = demand
             self._setpoint_due.set()
@@ -332,15 +332,17 @@ class DriveControl:
                 f"modbus-{self.drive}", [self.drive], time_s, renews=False
             ) as lease:
                 logger.info("drive=%s event=lease-taken client=%s", self.drive, self._owner)
-                self._lease, self._lease_reason = lease, Reason.NONE
+                self._lease, self._lease_reason = lease, WriteReason.NONE
                 await self._work_under(lease)
         except LeaseLostError as exc:
             logger.warning('drive=%s event=lease-ended client=%s reason=%s',
                            self.drive, self._owner, exc.problem)  # fmt: skip
-            self._lease_reason = Reason.NO_LEASE
+            self._lease_reason = WriteReason.NO_LEASE
         except ClientError as exc:
-            reason = REASONS.get(exc.kind, Reason.OTHER)
-            self._lease_reason = Reason.DAEMON_AWAY if isinstance(exc, UnreachableError) else reason
+            reason = REASONS.get(exc.kind, WriteReason.OTHER)
+            self._lease_reason = (
+                WriteReason.DAEMON_AWAY if isinstance(exc, UnreachableError) else reason
+            )
             logger.warning('drive=%s event=lease-refused client=%s reason=%s',
                            self.drive, self._owner, exc.problem)  # fmt: skip
         finally:
@@ -378,7 +380,7 @@ class DriveControl:
 
     async def _carry_out(self, command: Command, sequence: int, stops: int) -> None:
         """Carry a command out, unless a stop was written since."""
-        outcome, reason = UNKNOWN, Reason.NO_LEASE
+        outcome, reason = UNKNOWN, WriteReason.NO_LEASE
         try:
             if command is Command.ENABLE:
                 outcome, reason = await self._enable(stops)
@@ -387,19 +389,19 @@ class DriveControl:
         finally:
             self._last_command.end(sequence, outcome, reason)
 
-    async def _enable(self, stops: int) -> tuple[int, Reason]:
+    async def _enable(self, stops: int) -> tuple[int, WriteReason]:
         """Give the setpoint first, so that the drive does not start at an old one."""
         outcome, reason = await self._give_setpoint()
         if outcome not in GOOD:
             return REFUSED, reason
         if self._stops.count != stops:
-            return SUPERSEDED, Reason.STOPPED
+            return SUPERSEDED, WriteReason.STOPPED
         outcome, reason = await self._ask(Command.ENABLE)
         self._retry_at_s = 0.0
         self._setpoint_due.set()
         return outcome, reason
 
-    async def _ask(self, command: Command) -> tuple[int, Reason]:
+    async def _ask(self, command: Command) -> tuple[int, WriteReason]:
         drive = self._line().drive(self.drive)
         ask = drive.enable if command is Command.ENABLE else drive.reset_fault
         logger.info("drive=%s event=command command=%s client=%s",
@@ -413,20 +415,20 @@ class DriveControl:
             self._setpoint_due = anyio.Event()
             if not self._facts.is_online(self.drive):
                 self._given = None  # with its mains it may have lost its setpoint
-                if self._last_setpoint.reason is not Reason.NO_ANSWER:
-                    self._refuse_setpoint(Reason.NO_ANSWER)
+                if self._last_setpoint.reason is not WriteReason.NO_ANSWER:
+                    self._refuse_setpoint(WriteReason.NO_ANSWER)
                 continue
             if anyio.current_time() >= self._retry_at_s:
                 await self._give_setpoint()
 
-    async def _give_setpoint(self) -> tuple[int, Reason]:
+    async def _give_setpoint(self) -> tuple[int, WriteReason]:
         """Send the newest setpoint, one at a time; nothing, where the drive has it."""
         async with self._giving:
             wanted = self._wanted
             if wanted is None or wanted == self._given:
-                return GOOD[0], Reason.NONE
+                return GOOD[0], WriteReason.NONE
             sequence = self._last_setpoint.begin()
-            outcome, reason = UNKNOWN, Reason.NO_LEASE
+            outcome, reason = UNKNOWN, WriteReason.NO_LEASE
             try:
                 outcome, reason = await self._send_setpoint(wanted)
             finally:
@@ -441,16 +443,16 @@ class DriveControl:
             self._setpoint_due.set()
         return outcome, reason
 
-    async def _send_setpoint(self, wanted: int) -> tuple[int, Reason]:
+    async def _send_setpoint(self, wanted: int) -> tuple[int, WriteReason]:
         unit = self._facts.setpoint_unit(self.drive)
         if unit is None:
-            return REFUSED, Reason.NOT_PERMITTED
+            return REFUSED, WriteReason.NOT_PERMITTED
         drive, speed = self._line().drive(self.drive), Decimal(wanted) / SCALE
         return await outcome_of(
             f"set-speed of {self.drive} to {speed} {unit}",
             lambda: drive.set_speed(speed, unit, expires_s=EXPIRES_S),
         )
 
-    def _refuse_setpoint(self, reason: Reason) -> None:
+    def _refuse_setpoint(self, reason: WriteReason) -> None:
         """Say of a setpoint that it was not sent."""
         self._last_setpoint.end(self._last_setpoint.begin(), REFUSED, reason)

@@ -38,10 +38,10 @@ __all__ = [
     "STATES",
     "UNITS",
     "Command",
-    "Part",
-    "Reason",
     "Register",
+    "RegisterPart",
     "Sources",
+    "WriteReason",
     "family_rows",
     "layout_rows",
     "map_markdown",
@@ -67,7 +67,7 @@ HIGH_WORD_FIRST: Final = "32 bit, high word first"
 SIGNED: Final = "signed 32 bit, high word first"
 
 
-class Part(Enum):
+class RegisterPart(Enum):
     """What can be done with a register."""
 
     ALWAYS = "always"
@@ -93,7 +93,7 @@ class Register:
 
     offset: int
     name: str
-    part: Part
+    part: RegisterPart
     meaning: str
     words: int = 1
     form: str = ""
@@ -119,7 +119,7 @@ class Command(IntEnum):
         return self.name.lower().replace("_", "-")
 
 
-class Reason(IntEnum):
+class WriteReason(IntEnum):
     """Why a write was not done, or why there is no lease."""
 
     NONE = 0
@@ -142,46 +142,48 @@ class Reason(IntEnum):
     OTHER = 99
 
 
-MEANINGS: Final[Mapping[Reason, str]] = {
-    Reason.NONE: "none",
-    Reason.NO_LEASE: "no lease: the heartbeat does not count up, or the lease has ended",
-    Reason.NOT_FROM_0: "the command register was not 0 before, since the lease began",
-    Reason.LATCHED: "the drive is latched and shows no stop of lecombus: write a stop, then 0",
-    Reason.HELD_BY_OTHER: "another client of lecombus holds a lease of the drive",
-    Reason.FAULT_ACTIVE: "a fault is active",
-    Reason.NO_ANSWER: "the drive does not answer, or the line is lost",
-    Reason.NAK: "the drive refused it",
-    Reason.BAD_VALUE: "the value cannot be sent: out of range, too fine",
-    Reason.NOT_PERMITTED: "the roster or the drive's family does not permit it",
-    Reason.SETTING: "a setting of the drive prevents it",
-    Reason.NOT_IN_EFFECT: "the drive acknowledged it and does not show it",
-    Reason.NOT_READY: "the drive is starting, is another one than before, or is busy",
-    Reason.OVERLOADED: "it could not be sent in time",
-    Reason.JOURNAL_FAILING: "the journal cannot be written",
-    Reason.DAEMON_AWAY: "lecombus does not answer; what was under way may have happened",
-    Reason.STOPPED: "a stop came first",
-    Reason.OTHER: "something else: see the log of the bridge",
+MEANINGS: Final[Mapping[WriteReason, str]] = {
+    WriteReason.NONE: "none",
+    WriteReason.NO_LEASE: "no lease: the heartbeat does not count up, or the lease has ended",
+    WriteReason.NOT_FROM_0: "the command register was not 0 before, since the lease began",
+    WriteReason.LATCHED: "the drive is latched and shows no stop of lecombus: write a stop, then 0",
+    WriteReason.HELD_BY_OTHER: "another client of lecombus holds a lease of the drive",
+    WriteReason.FAULT_ACTIVE: "a fault is active",
+    WriteReason.NO_ANSWER: "the drive does not answer, or the line is lost",
+    WriteReason.NAK: "the drive refused it",
+    WriteReason.BAD_VALUE: "the value cannot be sent: out of range, too fine",
+    WriteReason.NOT_PERMITTED: "the roster or the drive's family does not permit it",
+    WriteReason.SETTING: "a setting of the drive prevents it",
+    WriteReason.NOT_IN_EFFECT: "the drive acknowledged it and does not show it",
+    WriteReason.NOT_READY: "the drive is starting, is another one than before, or is busy",
+    WriteReason.OVERLOADED: "it could not be sent in time",
+    WriteReason.JOURNAL_FAILING: "the journal cannot be written",
+    WriteReason.DAEMON_AWAY: "lecombus does not answer; what was under way may have happened",
+    WriteReason.STOPPED: "a stop came first",
+    WriteReason.OTHER: "something else: see the log of the bridge",
 }
 
-REASONS: Final[Mapping[str, Reason]] = {
-    "lease-required": Reason.NO_LEASE, "lease-lost": Reason.NO_LEASE,
-    "stale-counter": Reason.NO_LEASE, "no-such-lease": Reason.NO_LEASE,
-    "latched": Reason.LATCHED, "lease-held": Reason.HELD_BY_OTHER,
-    "fault-active": Reason.FAULT_ACTIVE,
-    "offline": Reason.NO_ANSWER, "no-answer": Reason.NO_ANSWER, "garbled": Reason.NO_ANSWER,
-    "line-lost": Reason.NO_ANSWER, "line-closed": Reason.NO_ANSWER, "unknown": Reason.NO_ANSWER,
-    "nak": Reason.NAK, "refused": Reason.NAK, "bad-value": Reason.BAD_VALUE,
-    "not-writable": Reason.NOT_PERMITTED, "not-permitted": Reason.NOT_PERMITTED,
-    "locked": Reason.NOT_PERMITTED, "read-only": Reason.NOT_PERMITTED,
-    "no-verb": Reason.NOT_PERMITTED, "no-stop": Reason.NOT_PERMITTED,
-    "no-such-drive": Reason.NOT_PERMITTED, "no-control-word": Reason.NOT_READY,
-    "setting": Reason.SETTING, "not-in-effect": Reason.NOT_IN_EFFECT,
-    "other-identity": Reason.NOT_READY, "starting": Reason.NOT_READY, "busy": Reason.NOT_READY,
-    "not-ready": Reason.NOT_READY, "unhealthy": Reason.NOT_READY,
-    "expired": Reason.OVERLOADED, "queue-full": Reason.OVERLOADED,
-    "does-not-fit": Reason.OVERLOADED, "too-many-writes": Reason.OVERLOADED,
-    "journal-failing": Reason.JOURNAL_FAILING, "answer-lost": Reason.DAEMON_AWAY,
-    "superseded": Reason.STOPPED, "client-gone": Reason.NO_LEASE,
+REASONS: Final[Mapping[str, WriteReason]] = {
+    "lease-required": WriteReason.NO_LEASE, "lease-lost": WriteReason.NO_LEASE,
+    "stale-counter": WriteReason.NO_LEASE, "no-such-lease": WriteReason.NO_LEASE,
+    "latched": WriteReason.LATCHED, "lease-held": WriteReason.HELD_BY_OTHER,
+    "fault-active": WriteReason.FAULT_ACTIVE,
+    "offline": WriteReason.NO_ANSWER, "no-answer": WriteReason.NO_ANSWER,
+    "garbled": WriteReason.NO_ANSWER, "line-lost": WriteReason.NO_ANSWER,
+    "line-closed": WriteReason.NO_ANSWER, "unknown": WriteReason.NO_ANSWER,
+    "nak": WriteReason.NAK, "refused": WriteReason.NAK, "bad-value": WriteReason.BAD_VALUE,
+    "not-writable": WriteReason.NOT_PERMITTED, "not-permitted": WriteReason.NOT_PERMITTED,
+    "locked": WriteReason.NOT_PERMITTED, "read-only": WriteReason.NOT_PERMITTED,
+    "no-verb": WriteReason.NOT_PERMITTED, "no-stop": WriteReason.NOT_PERMITTED,
+    "no-such-drive": WriteReason.NOT_PERMITTED, "no-control-word": WriteReason.NOT_READY,
+    "setting": WriteReason.SETTING, "not-in-effect": WriteReason.NOT_IN_EFFECT,
+    "other-identity": WriteReason.NOT_READY, "starting": WriteReason.NOT_READY,
+    "busy": WriteReason.NOT_READY,
+    "not-ready": WriteReason.NOT_READY, "unhealthy": WriteReason.NOT_READY,
+    "expired": WriteReason.OVERLOADED, "queue-full": WriteReason.OVERLOADED,
+    "does-not-fit": WriteReason.OVERLOADED, "too-many-writes": WriteReason.OVERLOADED,
+    "journal-failing": WriteReason.JOURNAL_FAILING, "answer-lost": WriteReason.DAEMON_AWAY,
+    "superseded": WriteReason.STOPPED, "client-gone": WriteReason.NO_LEASE,
 }  # fmt: skip
 """By the words of docs/api.md."""
 
@@ -205,51 +207,57 @@ COMMANDS: Final = tuple(one.verb for one in Command)
 NEVER: Final = "65535: never, or longer"
 
 LINE: Final = (
-    Register(0, "map version", Part.ALWAYS, f"of this table: {MAP_VERSION}"),
-    Register(1, "seconds", Part.ALWAYS, "counts the seconds of the bridge, 65535 to 0"),
-    Register(2, "lecombus", Part.ALWAYS, "1: lecombus answers the bridge; 0: it is away"),
-    Register(3, "control", Part.ALWAYS, "1: the roster says `modbus.control: true`"),
-    Register(4, "stop sequence", Part.ALWAYS, "counts the stops of all drives sent by the bridge"),
-    Register(5, "stop command", Part.ALWAYS, "the command with that number"),
-    Register(6, "stop outcome", Part.ALWAYS, "its outcome: that of the worst drive"),
-    Register(7, "stop reason", Part.ALWAYS, "why it was not done"),
-    Register(20, "line state", Part.FRESH, "state of the line"),
-    Register(21, "drives", Part.FRESH, "how many drives the roster has"),
-    Register(22, "drives online", Part.FRESH, "how many are online"),
-    Register(23, "drives degraded", Part.FRESH, "how many are degraded"),
-    Register(24, "drives offline", Part.FRESH, "how many are offline"),
-    Register(40, "stop all", Part.WRITTEN, "1 quick stop, 2 inhibit: all drives, without a lease"),
+    Register(0, "map version", RegisterPart.ALWAYS, f"of this table: {MAP_VERSION}"),
+    Register(1, "seconds", RegisterPart.ALWAYS, "counts the seconds of the bridge, 65535 to 0"),
+    Register(2, "lecombus", RegisterPart.ALWAYS, "1: lecombus answers the bridge; 0: it is away"),
+    Register(3, "control", RegisterPart.ALWAYS, "1: the roster says `modbus.control: true`"),
+    Register(
+        4, "stop sequence", RegisterPart.ALWAYS, "counts the stops of all drives sent by the bridge"
+    ),
+    Register(5, "stop command", RegisterPart.ALWAYS, "the command with that number"),
+    Register(6, "stop outcome", RegisterPart.ALWAYS, "its outcome: that of the worst drive"),
+    Register(7, "stop reason", RegisterPart.ALWAYS, "why it was not done"),
+    Register(20, "line state", RegisterPart.FRESH, "state of the line"),
+    Register(21, "drives", RegisterPart.FRESH, "how many drives the roster has"),
+    Register(22, "drives online", RegisterPart.FRESH, "how many are online"),
+    Register(23, "drives degraded", RegisterPart.FRESH, "how many are degraded"),
+    Register(24, "drives offline", RegisterPart.FRESH, "how many are offline"),
+    Register(
+        40, "stop all", RegisterPart.WRITTEN, "1 quick stop, 2 inhibit: all drives, without a lease"
+    ),
 )
 
 DRIVE: Final = (
-    Register(0, "drive state", Part.ALWAYS, "state of the drive"),
-    Register(1, "fresh", Part.ALWAYS, "which values are fresh", form="bits"),
-    Register(2, "age of status word", Part.ALWAYS, f"0.1 s; {NEVER}"),
-    Register(3, "age of speed", Part.ALWAYS, f"0.1 s; {NEVER}"),
-    Register(4, "age of setpoint", Part.ALWAYS, f"0.1 s; {NEVER}"),
-    Register(5, "unit of speed", Part.ALWAYS, "of the actual speed"),
-    Register(6, "unit of setpoint", Part.ALWAYS, "of setpoint and setpoint demand"),
-    Register(7, "control state", Part.ALWAYS, "who controls the drive by this bridge"),
-    Register(8, "lease reason", Part.ALWAYS, "why there is no lease"),
-    Register(9, "latched", Part.ALWAYS, "1: must be enabled under a lease"),
-    Register(10, "command sequence", Part.ALWAYS, "counts the commands that were taken"),
-    Register(11, "last command", Part.ALWAYS, "the command with that number"),
-    Register(12, "command outcome", Part.ALWAYS, "its outcome"),
-    Register(13, "command reason", Part.ALWAYS, "why it was not done"),
-    Register(14, "setpoint sequence", Part.ALWAYS, "counts the setpoints that were taken"),
-    Register(15, "setpoint outcome", Part.ALWAYS, "the outcome of the last one"),
-    Register(16, "setpoint reason", Part.ALWAYS, "why it was not done"),
-    Register(20, "status word", Part.FRESH, "as read from the drive", form="bits"),
-    Register(21, "states", Part.FRESH, "what the status words show, the same for all families",
-             2, f"bits, {HIGH_WORD_FIRST}"),
-    Register(23, "motion", Part.FRESH, "what the drive does"),
-    Register(24, "fault kind", Part.FRESH, "the fault that the drive shows now"),
-    Register(25, "fault number", Part.FRESH, "its LECOM number; 0: none, or not known"),
-    Register(26, "actual speed", Part.FRESH, "1/10000 of its unit", 2, SIGNED),
-    Register(28, "setpoint", Part.FRESH, "1/10000 of its unit, as read", 2, SIGNED),
-    Register(40, "heartbeat", Part.WRITTEN, "the PLC counts it up: that holds the lease"),
-    Register(41, "command", Part.WRITTEN, "counts when it was 0 before; stops always"),
-    Register(42, "setpoint demand", Part.WRITTEN, "1/10000 of the unit of setpoint", 2, SIGNED),
+    Register(0, "drive state", RegisterPart.ALWAYS, "state of the drive"),
+    Register(1, "fresh", RegisterPart.ALWAYS, "which values are fresh", form="bits"),
+    Register(2, "age of status word", RegisterPart.ALWAYS, f"0.1 s; {NEVER}"),
+    Register(3, "age of speed", RegisterPart.ALWAYS, f"0.1 s; {NEVER}"),
+    Register(4, "age of setpoint", RegisterPart.ALWAYS, f"0.1 s; {NEVER}"),
+    Register(5, "unit of speed", RegisterPart.ALWAYS, "of the actual speed"),
+    Register(6, "unit of setpoint", RegisterPart.ALWAYS, "of setpoint and setpoint demand"),
+    Register(7, "control state", RegisterPart.ALWAYS, "who controls the drive by this bridge"),
+    Register(8, "lease reason", RegisterPart.ALWAYS, "why there is no lease"),
+    Register(9, "latched", RegisterPart.ALWAYS, "1: must be enabled under a lease"),
+    Register(10, "command sequence", RegisterPart.ALWAYS, "counts the commands that were taken"),
+    Register(11, "last command", RegisterPart.ALWAYS, "the command with that number"),
+    Register(12, "command outcome", RegisterPart.ALWAYS, "its outcome"),
+    Register(13, "command reason", RegisterPart.ALWAYS, "why it was not done"),
+    Register(14, "setpoint sequence", RegisterPart.ALWAYS, "counts the setpoints that were taken"),
+    Register(15, "setpoint outcome", RegisterPart.ALWAYS, "the outcome of the last one"),
+    Register(16, "setpoint reason", RegisterPart.ALWAYS, "why it was not done"),
+    Register(20, "status word", RegisterPart.FRESH, "as read from the drive", form="bits"),
+    Register(21, "states", RegisterPart.FRESH,
+             "what the status words show, the same for all families", 2,
+             f"bits, {HIGH_WORD_FIRST}"),
+    Register(23, "motion", RegisterPart.FRESH, "what the drive does"),
+    Register(24, "fault kind", RegisterPart.FRESH, "the fault that the drive shows now"),
+    Register(25, "fault number", RegisterPart.FRESH, "its LECOM number; 0: none, or not known"),
+    Register(26, "actual speed", RegisterPart.FRESH, "1/10000 of its unit", 2, SIGNED),
+    Register(28, "setpoint", RegisterPart.FRESH, "1/10000 of its unit, as read", 2, SIGNED),
+    Register(40, "heartbeat", RegisterPart.WRITTEN, "the PLC counts it up: that holds the lease"),
+    Register(41, "command", RegisterPart.WRITTEN, "counts when it was 0 before; stops always"),
+    Register(42, "setpoint demand", RegisterPart.WRITTEN, "1/10000 of the unit of setpoint", 2,
+             SIGNED),
 )  # fmt: skip
 
 

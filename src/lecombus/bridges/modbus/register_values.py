@@ -28,8 +28,8 @@ from lecombus.bridges.modbus.register_map import (
     SCALE,
     STATES,
     UNITS,
-    Part,
     Register,
+    RegisterPart,
     Sources,
     place_of,
     sources_of,
@@ -37,7 +37,7 @@ from lecombus.bridges.modbus.register_map import (
 from lecombus.drives import family
 from lecombus.parameters import Code
 
-__all__ = ["Control", "ModbusError", "ModbusException", "RegisterReader", "words_of"]
+__all__ = ["ControlRegisters", "ModbusError", "ModbusException", "RegisterReader", "words_of"]
 
 NEVER: Final = 0xFFFF
 LARGEST: Final = 0x7FFF_FFFF
@@ -67,7 +67,7 @@ class ModbusError(Exception):
         self.code = code
 
 
-class Control(Protocol):
+class ControlRegisters(Protocol):
     """What the writing part of the bridge says of itself."""
 
     def line_registers(self) -> Mapping[str, int]:
@@ -91,7 +91,7 @@ class RegisterReader:
     def __init__(
         self,
         follower: LineFollower,
-        control: Control,
+        control: ControlRegisters,
         drives: Iterable[FollowedDrive],
         now: Callable[[], float],
     ) -> None:
@@ -139,7 +139,7 @@ class RegisterReader:
     # -- the line --------------------------------------------------------------------------------
 
     def _line_number(self, register: Register) -> int:
-        if register.part is Part.FRESH:
+        if register.part is RegisterPart.FRESH:
             return self._fresh_line_number(register.name)
         if register.name == "map version":
             return MAP_VERSION
@@ -161,7 +161,7 @@ class RegisterReader:
     # -- a drive ---------------------------------------------------------------------------------
 
     def _drive_number(self, values: DriveValues, register: Register) -> int:
-        if register.part is Part.FRESH:
+        if register.part is RegisterPart.FRESH:
             if not self._follower.is_connected:
                 raise ModbusError(ModbusException.LECOMBUS_AWAY)
             number = values.fresh(register.name)
