@@ -234,6 +234,21 @@ def test_a_stop_that_did_not_end_well_is_sent_again_while_it_is_written() -> Non
     on_a_bench(test)
 
 
+def test_a_stop_that_the_family_does_not_have_is_not_repeated() -> None:
+    async def test(bench: Bench) -> None:
+        bench.daemon.outcome, bench.daemon.kind = "refused", "no-stop"
+        for _ in range(100):
+            bench.control.write_stop(Command.QUICK_STOP)
+            await anyio.sleep(0.1)
+        assert len(bench.daemon.sent) == 1
+        assert bench.command[1:] == (REFUSED, WriteReason.NOT_PERMITTED)
+        bench.control.write_stop(Command.INHIBIT)
+        await anyio.sleep(0.1)
+        assert len(bench.daemon.sent) == 2
+
+    on_a_bench(test)
+
+
 def test_a_stop_under_way_is_not_sent_again() -> None:
     async def test(bench: Bench) -> None:
         bench.daemon.takes_s = 5.0

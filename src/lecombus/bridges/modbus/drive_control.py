@@ -162,6 +162,8 @@ class StopControl:
         is_repeat = before == command and self._last.command == command
         if is_repeat and (self._last.is_good or self._last.outcome == PENDING):
             return
+        if is_repeat and self._last.reason is WriteReason.NOT_PERMITTED:
+            return  # such as a family without this stop: the next one would end as this one
         if is_repeat and anyio.current_time() < self._again_s:
             return
         self.count += 1
