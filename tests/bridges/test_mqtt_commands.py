@@ -14,6 +14,8 @@ import anyio
 import anyio.lowlevel
 import httpx2
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from client.conftest import line_of
 from lecombus.bridges.mqtt.broker import Incoming
@@ -350,3 +352,32 @@ def test_of_a_thousand_commands_sent_twice_none_is_carried_out_twice(
     assert max(asked.values()) == 1
     assert len(asked) > 600
     assert len(answered) > len(asked) * 0.9
+
+
+@given(
+    st.sampled_from(["feeder/set/C0046", "feeder/do/set-speed", "feeder/do/enable", "x/set/P1"]),
+    st.one_of(
+        st.binary(max_size=60),
+        st.text(max_size=60).map(lambda text: text.encode(errors="replace")),
+        st.recursive(
+            st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=9),
+            lambda inner: st.lists(inner, max_size=3)
+            | st.dictionaries(st.sampled_from(["value", "unit", "expires", "verify", "\ud800"]),
+                              inner, max_size=4),
+            max_leaves=6,
+        ).map(lambda found: json.dumps(found).encode()),
+        st.sampled_from([b'{"value": 1e99999999}', b"9" * 5000, b'{"expires": 1e400}',
+                         b'{"value": "\\ud800"}', b'{"\\ud800": 1}', b'{"expires": "9999999h"}',
+                         b'{"expires": -1}', b"\x00", b'{"value": -0.0}']),
+    ),
+    st.one_of(st.none(), st.binary(max_size=9)),
+    st.one_of(st.none(), st.integers(0, 2**32 - 1)),
+)  # fmt: skip
+@settings(max_examples=300, deadline=None)
+def test_whatever_comes_is_answered_with_one_outcome(
+    topic: str, payload: bytes, correlation: bytes | None, expiry_s: int | None
+) -> None:
+    bench = one(topic, payload, correlation=correlation, expiry_s=expiry_s)
+    assert len(bench.answers) == 1
+    assert bench.outcomes[0] in ("done", "refused", "expired")
+    assert len(bench.daemon.requests) <= 1

@@ -13,6 +13,9 @@ from lecombus.durations import LEAST_EXPIRY_S, LONGEST_EXPIRY_S, parse_duration
 
 __all__ = ["RefusedError", "body_of", "busy", "expired", "expiry_of"]
 
+DIGITS: Final = 40
+LARGEST: Final = 10**DIGITS
+
 EXPIRES_S: Final = 5.0
 """How long a command may wait that does not say it."""
 
@@ -74,16 +77,16 @@ def body_of(topic: CommandTopic, payload: bytes) -> dict[str, Json]:
     except UnicodeDecodeError as exc:
         raise bad("the payload is no text in UTF-8") from exc
     if text.startswith("{"):
-        return object_of(text)
+        return {key: plain(key, value) for key, value in object_of(text).items()}
     if topic.what == "set":
         if not text:
             raise bad("the payload is empty; give the value, such as 35.4")
-        return {"value": number_or_text(text)}
+        return {"value": plain("value", number_or_text(text))}
     if topic.name == "set-speed":
         number, _, unit = text.partition(" ")
         if not number or not unit.strip():
             raise bad('give number and unit, such as `35.4 Hz`, or {"value": 35.4, "unit": "Hz"}')
-        return {"value": number_or_text(number), "unit": unit.strip()}
+        return {"value": plain("value", number_or_text(number)), "unit": unit.strip()}
     if text not in ("", "PRESS"):
         raise bad(f"{topic.name} takes no value: send it with an empty payload")
     return {}
@@ -109,6 +112,23 @@ def object_of(text: str) -> dict[str, Json]:
     except (ValueError, RecursionError) as exc:
         raise bad(f"the payload is no JSON object: {exc}") from exc
     return found
+
+
+def plain(key: str, value: Json) -> Json:
+    """Return a value that can stand in a request: text, or a number that a drive could have.
+
+    Raises:
+        RefusedError: It is a list, an object, no Unicode text, or has very many digits.
+    """
+    if isinstance(value, str) and (value.isascii() or value.isprintable()):
+        return value
+    if value is None or isinstance(value, bool):
+        return value
+    if isinstance(value, int) and abs(value) < LARGEST:
+        return value
+    if isinstance(value, Decimal) and abs(value.adjusted()) < DIGITS > len(value.as_tuple().digits):
+        return value
+    raise bad(f"{ascii(key)[:60]} has a value that no drive takes")
 
 
 def refuse_constant(word: str) -> None:
