@@ -290,7 +290,7 @@ def test_a_stretched_line_keeps_values_good_for_longer() -> None:
 
 
 def test_a_password_is_not_taken_over(monkeypatch: pytest.MonkeyPatch) -> None:
-    secret = SimpleNamespace(info=lambda code: SimpleNamespace(secret=str(code) == "C0094"))
+    secret = SimpleNamespace(is_secret=lambda code: str(code) == "C0094")
     monkeypatch.setattr(line_follower, "family", lambda name: secret)
     line_follower.is_secret_code.cache_clear()
 

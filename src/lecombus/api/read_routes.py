@@ -214,7 +214,9 @@ class ReadRoutes:
         return f'{head[:-1]}, "motion": {motion}, "values": [{", ".join(texts)}]}}'
 
     async def _value_texts(self, drive: str) -> AsyncIterator[str]:
-        for number, code in enumerate(self._store.codes(drive)):
+        family = self._store.family(drive)
+        shown = (code for code in self._store.codes(drive) if not family.is_secret(code))
+        for number, code in enumerate(shown):
             if number % VALUES_AT_ONCE == 0:
                 await anyio.lowlevel.checkpoint()
             reading = self._store.reading(drive, code)

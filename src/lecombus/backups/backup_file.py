@@ -163,8 +163,7 @@ def wanted_codes(family: Family, also: Iterable[Code] = ()) -> tuple[Code, ...]:
         for info in family.described()
         if info.readable and not info.secret and not info.array
     } | set(family.identity)
-    secret = {info.code for info in family.described() if info.secret}
-    return tuple(sorted((described | set(also)) - secret))
+    return tuple(sorted(code for code in described | set(also) if not family.is_secret(code)))
 
 
 FORMAT_KEY: Final = "lecombus-backup"

@@ -459,12 +459,11 @@ def state_of(drive: FollowedDrive) -> tuple[str, str, tuple[str, ...] | None]:
 
 @lru_cache(maxsize=4096)
 def is_secret_code(family_name: str, code: str) -> bool:
-    """Whether a family's description calls a code secret."""
+    """Whether a code of a family holds a password."""
     try:
-        info = family(family_name).info(Code.parse(code))
+        return family(family_name).is_secret(Code.parse(code))
     except (LecombusError, ValueError, KeyError):
         return False
-    return info is not None and info.secret
 
 
 def is_secret(family_name: str, reading: Reading) -> bool:

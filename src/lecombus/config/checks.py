@@ -341,7 +341,7 @@ def check_drive(drive: Fields, fieldbus: Fieldbus, mistakes: Mistakes) -> None:
         mistakes.note(drive.place("watchdog"), what, "remove the key")
     elif of.watchdog is not None and isinstance(watchdog, Fields):
         _check_watchdog(watchdog, name, of.watchdog, mistakes)
-    _check_writable(drive, of, mistakes)
+    _check_codes(drive, of, mistakes)
     lease = drive.get("lease")
     if isinstance(lease, Fields) and "on_lapse" in lease.values:
         check_lapse(drive, lease.get("on_lapse"), lease.place("on_lapse"), mistakes)
@@ -485,8 +485,11 @@ def _check_forms(drive: Fields, fieldbus: Fieldbus, mistakes: Mistakes) -> None:
                 mistakes.note(item.node, *fieldbus.uncarried(item.value))
 
 
-def _check_writable(drive: Fields, of: Family, mistakes: Mistakes) -> None:
-    """Refuse codes that change how the drive is reached; listed beside the key, they do nothing."""
+def _check_codes(drive: Fields, of: Family, mistakes: Mistakes) -> None:
+    """Refuse cyclic passwords, and to write what changes how the drive is reached."""
+    for item in (item for item in _codes(drive, "cyclic") if of.is_secret(item.value)):
+        what = f"{of.spoken(item.value)} is a password, so it is not read unasked"
+        mistakes.note(item.node, what, "remove it")
     if drive.get("allow_address_change", "allow_address_change" in drive.nodes):
         return
     for item in (item for key in WRITABLE for item in _codes(drive, key)):

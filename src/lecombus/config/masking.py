@@ -15,7 +15,6 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any, Final
 
 import yaml
@@ -34,9 +33,6 @@ SECRET_KEY: Final = re.compile(
 SECRET_FILE: Final = "password_file"
 COMMAND_KEYS: Final = frozenset({"command"})
 """Their words may hold anything; the program alone, their first word, is kept."""
-
-PASSWORD_CODES: Final = (Code(94), Code(1194))
-"""The user password of Lenze drives (C0094, P194), in families that do not describe it."""
 
 SHORTEST: Final = 4
 """Characters of a secret that is masked wherever it stands; shorter ones stand everywhere."""
@@ -211,13 +207,6 @@ def mask_sample(line: str) -> str:
     return f"{head}{brace} {MASK}\n" if brace else f"{MASK}\n"
 
 
-@cache
-def password_codes() -> frozenset[Code]:
-    """Return the codes that hold passwords, of any family."""
-    described = (info for name in FAMILY_NAMES for info in family(name).described())
-    return frozenset((*PASSWORD_CODES, *(info.code for info in described if info.secret)))
-
-
 def is_password(text: object) -> bool:
     """Whether a text is the name of a code that holds a password."""
     if not isinstance(text, str) or text[:1] not in ("C", "P", "c", "p"):
@@ -226,4 +215,4 @@ def is_password(text: object) -> bool:
         code = Code.parse(text)
     except CodeValueError:
         return False
-    return Code(code.number) in password_codes()
+    return any(family(name).is_secret(code) for name in FAMILY_NAMES)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import BeforeValidator, Field
 
@@ -126,6 +126,10 @@ class SoftwareGate:
     source: Source
 
 
+PASSWORDS: Final = frozenset((94, 1194))
+"""The user password of Lenze drives (C0094, P194), in families that do not describe it."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Family:
     """A family of drives: equal only to itself, so that it is a cheap key.
@@ -217,6 +221,11 @@ class Family:
     def info(self, code: Code) -> CodeInfo | None:
         """Return a code's description; None where there is none (it may be read all the same)."""
         return self.codes.get(code)
+
+    def is_secret(self, code: Code) -> bool:
+        """Whether a code holds a password, also one that is not described."""
+        info = self.info(Code(code.number)) or self.info(code)
+        return code.number in PASSWORDS if info is None else info.secret
 
     def configured(self, number: int | None) -> Family:
         """Return this family as a drive of it is whose signal configuration is known.

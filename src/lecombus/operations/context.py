@@ -162,8 +162,7 @@ class OperationContext:
         group = self.groups.get(target)
         names = (target,) if group is None else group.members
         drives = filter(None, map(self.requests.drives.find, names))
-        infos = (drive.family.info(code) for drive in drives)
-        return any(info is not None and info.secret for info in infos)
+        return any(drive.family.is_secret(code) for drive in drives)
 
     def means_stop(self, target: str, code: Code, value: Decimal | int | str) -> bool:
         """Whether a plain write would stop a drive, or each of a group."""

@@ -179,8 +179,7 @@ class EventSources:
             del self._values[key]
 
     def _is_secret(self, drive: str, code: Code) -> bool:
-        info = self._store.family(drive).info(code)
-        return info is not None and info.secret
+        return self._store.family(drive).is_secret(code)
 
     def _publish_value(self, key: tuple[str, Code], reading: Reading) -> None:
         now_s = self._clock()
