@@ -5,6 +5,7 @@ Each step is a function, in the order in which a user takes them; docs/install.m
 
 from __future__ import annotations
 
+import json
 import re
 import time
 from collections.abc import Callable
@@ -15,11 +16,17 @@ import pytest
 
 from support.debian_root import DebianRoot, make_root
 from support.package_build import with_version
+from support.real_parts import require
 
 pytestmark = [pytest.mark.real, pytest.mark.timeout(1200)]
 
 EXAMPLE = "/usr/share/doc/lecombus/examples/small.yaml"
 ROSTER = "/etc/lecombus/hall-3.yaml"
+MORE = """
+journal: /var/lib/lecombus/hall-3.sqlite
+mqtt: {host: 127.0.0.1, tls: false, control: true}
+"""
+BRIDGE = "lecombus-mqtt@hall-3.service"
 PORT = "/run/simulated/hall-3"
 UNIT = "lecombus@hall-3.service"
 OPERATOR, VISITOR = "anna", "visitor"
@@ -85,7 +92,7 @@ def write_roster(root: DebianRoot) -> None:
     text = text.replace("name: bench", "name: hall-3")
     text = re.sub(r"port: /dev/\S+", f"port: {PORT}", text)
     text = re.sub(r"  http: \S+", rf"\g<0>\n  tokens: /run/credentials/{UNIT}/tokens", text)
-    root.path(ROSTER).write_text(text + "\njournal: /var/lib/lecombus/hall-3.sqlite\n")
+    root.path(ROSTER).write_text(text + MORE)
     root.run("chown", "root:lecombus", ROSTER)
     root.run("chmod", "640", ROSTER)
     assert "hall-3" in root.run("lecombus", "check", "-c", ROSTER)
@@ -142,6 +149,25 @@ def write(root: DebianRoot) -> None:
     assert re.search(r"\twrite\tfeeder\tverified\tcode=C0046 value=20", journal)
 
 
+def use_mqtt(root: DebianRoot) -> None:
+    """A broker of this machine in the system's network; the bridge is the package's service."""
+    root.start_ours(require("mosquitto"))  # without a file it listens on loopback, for all
+    root.run("systemctl", "enable", "--now", BRIDGE)
+    topic = "lecombus/hall-3/feeder"
+    waiting = (require("mosquitto_sub"), "-V", "5", "-C", "1", "-W", "60")
+    assert float(root.run_ours(*waiting, "-t", f"{topic}/value/C0050")) == 0
+    words = ("-V", "5", "-q", "2", "-t", f"{topic}/set/C0046", "-m", "17", "-e", "answers/test")
+    answer = json.loads(root.run_ours(require("mosquitto_rr"), *words, "-W", "60"))
+    assert (answer["drive"], answer["outcome"]) == ("feeder", "done")
+    assert re.search(r"\b17\b", simulator(root, "get feeder C0046")), "the drive has it"
+    journal = root.run("lecombus", "journal")
+    assert re.search(r"\twrite\tfeeder\tdone\tcode=C0046 value=17 .*client=mqtt", journal), journal
+
+
+def bridge(root: DebianRoot) -> str:
+    return root.run("systemctl", "show", "--property=MainPID", "--value", BRIDGE).strip()
+
+
 def unplug(root: DebianRoot) -> None:
     running = process(root)
     simulator(root, "unplug")
@@ -153,7 +179,7 @@ def unplug(root: DebianRoot) -> None:
 
 
 def upgrade(root: DebianRoot, newer: Path) -> None:
-    before = process(root)
+    before, bridge_before = process(root), bridge(root)
     root.path("/srv/newer.deb").write_bytes(newer.read_bytes())
     root.run("dpkg", "--unpack", "/srv/newer.deb")
     # The program that runs has lost its files now, and must still do all that it may be asked for.
@@ -165,6 +191,8 @@ def upgrade(root: DebianRoot, newer: Path) -> None:
     assert process(root) == before
     root.run("dpkg", "--configure", "lecombus")
     until(lambda: process(root) not in ("0", before), "another process")
+    until(lambda: bridge(root) not in ("0", bridge_before), "another process of the bridge")
+    assert root.run("journalctl", "--unit", BRIDGE, "--no-pager").count("Started ") == 2
     all_online(root)
     log = root.run("journalctl", "--unit", UNIT, "--no-pager")
     assert "level=error" not in log
@@ -224,6 +252,7 @@ def take_the_path(root: DebianRoot, package: Path, newer: Path, *, detours: bool
     start(root)
     scrape(root)
     write(root)
+    use_mqtt(root)
     unplug(root)
     upgrade(root, newer)
     upgrade_with_a_roster_that_is_refused(root)

@@ -186,6 +186,28 @@ class DebianRoot:
         self._beside.append(process)
         return process
 
+    def start_ours(self, *words: str | Path) -> subprocess.Popen[bytes]:
+        """Start a program of this machine in the system's network; it is killed at the end."""
+        process = subprocess.Popen(
+            [str(word) for word in self._in_network(words)],
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        self._beside.append(process)
+        return process
+
+    def run_ours(self, *words: str | Path) -> str:
+        """Run a program of this machine in the system's network, and return what it says."""
+        done = subprocess.run(
+            [str(word) for word in self._in_network(words)],
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            text=True, timeout=DONE_WITHIN_S, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, f"{words}: {done.returncode}\n{done.stdout}"
+        return done.stdout
+
+    def _in_network(self, words: Sequence[str | Path]) -> list[str | Path]:
+        return [require("nsenter"), "-t", str(self._leader), "-n", "--", *words]
+
     def path(self, name: str) -> Path:
         """Return where a file of the system is for us."""
         return self.place / name.lstrip("/")
