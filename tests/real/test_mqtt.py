@@ -230,13 +230,13 @@ async def connected(entry: MqttEntry) -> tuple[Limits, list[bool]]:
 def test_of_a_thousand_commands_sent_twice_each_is_carried_out_once() -> None:
     """With QoS 1 and correlation data; broker and bridge are started again in between."""
     with short_dir() as folder, served(folder) as (message_broker, daemon, its_bridge):
-        with message_broker.client(f"{ROOT}/feeder/state", session="sender") as client:
+        with message_broker.client("answers/test", f"{ROOT}/feeder/state") as client:
             shows(client, "feeder/state", "online")
             send_twice(client, range(400))
         message_broker.end()
         message_broker.start()
         until(lambda: its_bridge.log().count("mqtt-connected") == 2, "connected", within_s=60)
-        with message_broker.client("answers/test", session="sender") as client:
+        with message_broker.client("answers/test") as client:
             send_twice(client, range(300, 700))
             its_bridge.process.kill()
             its_bridge.process.wait()
