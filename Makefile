@@ -6,6 +6,9 @@
 # make compare  proves that nothing differs from a commit: make compare BASE=fab6b02
 # make fuzz    random bytes, guided by coverage, into every parser (ARGS="roster --seconds 600")
 # make coverage  every branch of the protocol and the schedule is taken by a test, or it fails
+# make mutants  slips planted in protocol and schedule: how many tests find (ARGS="--sample 100")
+# make faults  classes of faults put into a running daemon, and what was seen (ARGS="clock disk")
+# make soak    a full line on a busy machine, and what grows (ARGS="--hours 1")
 # make bench   the figures of docs, ours and the peers' in one run
 # make wheel   dist/lecombus-*.whl, built offline from the lock
 # make deb     dist/lecombus_*_amd64.deb and _arm64.deb for Debian 12 and 13, from the locks
@@ -17,7 +20,8 @@
 
 ARGS ?=
 
-.PHONY: demo test test-long proof compare fuzz coverage check bench golden openapi schema dashboards wheel deb lock format clean
+.PHONY: demo test test-long proof compare fuzz coverage mutants faults soak check bench golden openapi schema \
+	dashboards wheel deb lock format clean
 
 demo:
 	@scripts/venv runtime
@@ -54,6 +58,18 @@ coverage:
 	@scripts/venv reliability
 	@.venv/bin/python -m coverage run -m pytest -q -p no:cacheprovider tests/protocol tests/schedule
 	@.venv/bin/python -m coverage report
+
+mutants:
+	@scripts/venv reliability
+	@PYTHONPATH=src:tests .venv/bin/python -m mutation.run $(ARGS)
+
+faults:
+	@scripts/venv dev
+	@PYTHONPATH=src:tests .venv/bin/python -m faults.run $(ARGS)
+
+soak:
+	@scripts/venv dev
+	@PYTHONPATH=src:tests .venv/bin/python -m soak.run $(ARGS)
 
 bench:
 	@scripts/venv bench

@@ -39,7 +39,7 @@ def test_a_feed_counts_with_what_its_read_takes_now() -> None:
 def test_an_expired_request_is_no_feed() -> None:
     world = World().drives("a", "b")
     world.feed("b", 1.0)
-    others = [world.submit("a", P.CONTROL, expires_at_s=0.5) for _ in range(EXPIRE_BATCH)]
+    others = [world.submit("a", P.CONTROL, expires_at_s=0.5) for _ in range(3 * EXPIRE_BATCH)]
     late = world.submit("b", P.CONTROL, expires_at_s=0.6)
     world.now_s = 0.85
     request = world.step()

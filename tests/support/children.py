@@ -21,10 +21,20 @@ from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-__all__ = ["MASTER_CORE", "OTHER_CORE", "ROOT", "Child", "answer_lines", "child", "pin"]
+__all__ = [
+    "MASTER_CORE",
+    "OTHER_CORE",
+    "ROOT",
+    "Child",
+    "answer_lines",
+    "child",
+    "pin",
+    "take_priority",
+]
 
 ROOT = Path(__file__).parents[2]
 PR_SET_PDEATHSIG = 1
+UNIT_NICE = -10
 CORES = sorted(os.sched_getaffinity(0))
 MASTER_CORE, OTHER_CORE = CORES[-1], CORES[0]
 
@@ -32,6 +42,12 @@ MASTER_CORE, OTHER_CORE = CORES[-1], CORES[0]
 def pin(core: int) -> None:
     """Keep the calling thread on one core."""
     os.sched_setaffinity(0, {core})
+
+
+def take_priority() -> None:
+    """Run from now on with the priority that the unit gives the daemon, where that is allowed."""
+    with contextlib.suppress(PermissionError):
+        os.nice(UNIT_NICE - os.nice(0))
 
 
 class Child:

@@ -1,0 +1,218 @@
+"""`make soak`: a full line for hours, on a machine that is busy, and what grows meanwhile.
+
+    python -m soak.run [--hours 1] [--idle]
+
+31 simulated drives at 19200 on a pseudo terminal, served by a process of their own; the daemon with
+its journal and the Modbus bridge; scrapes, readers of events, and clients that read, write and
+stop; and busy loops of lower priority on every core (none with `--idle`). At the end, and every
+minute, memory, descriptors, threads and the size of the journal are shown. It fails if
+
+* a watchdog of a drive acted, or the daemon says that it fed one too late;
+* memory grew by 1 % or more after the first ten minutes (after a third of a shorter run);
+* threads grew by more than `SPARE`, or the journal beyond its largest size;
+* more than `SPARE` further descriptors are open when the clients have gone;
+* a request ended otherwise than documented.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import httpx2
+import pytest
+
+from support.children import child, take_priority
+from support.daemon_host import (
+    Daemon,
+    command,
+    environment,
+    free_port,
+    running,
+    short_dir,
+    started,
+    until,
+)
+from support.rosters import Wanted, roster_text
+from support.traffic import CUT, HANGING, Asked, Traffic, get, put
+
+__all__ = ["DRIVES", "Sample", "grown", "main", "soak"]
+
+ADDRESSES: Final = [address for address in range(11, 50) if address % 10][:31]
+DRIVES: Final[tuple[Wanted, ...]] = tuple(
+    (f"d{address}", address, ("8200vector", "smvector", "93xx")[place % 3])
+    for place, address in enumerate(ADDRESSES)
+)
+SETPOINTS: Final = {"8200vector": "C0046", "smvector": "C1061", "93xx": "C0141"}
+KEYS: Final = "cyclic: [{code: C0150, every: 2s}, {code: C0050, every: 5s}]"
+WATCHDOG: Final = "{time: 2s, action: inhibit, configure: true}"
+JOURNAL_BYTES: Final = 32 * 1000 * 1000
+PER_S: Final = 60.0
+SCRAPE_EVERY_S: Final = 5.0
+READERS: Final = 4
+SPARE: Final = 12
+GROWTH: Final = 0.01
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What the daemon takes at one time."""
+
+    at_s: float
+    rss_kb: int
+    descriptors: int
+    threads: int
+    journal_bytes: int
+
+    @property
+    def text(self) -> str:
+        """In one line."""
+        return (
+            f"{self.at_s / 60:6.1f} min  {self.rss_kb / 1000:7.1f} MB  "
+            f"{self.descriptors:4} descriptors  {self.threads:3} threads  "
+            f"journal {self.journal_bytes / 1e6:.2f} MB"
+        )
+
+
+def sample(pid: int, journal: Path, at_s: float) -> Sample:
+    """Look at a process."""
+    status = Path(f"/proc/{pid}/status").read_text()
+
+    def number(key: str) -> int:
+        return int(status.partition(f"{key}:")[2].split()[0])
+
+    files = list(Path(f"/proc/{pid}/fd").iterdir())
+    size = sum(one.stat().st_size for one in journal.parent.glob(f"{journal.name}*"))
+    return Sample(at_s, number("VmRSS"), len(files), number("Threads"), size)
+
+
+def grown(samples: list[Sample], from_s: float) -> float:
+    """Return by what part memory grew: the median of the last fifth against that after `from_s`."""
+    later = [one.rss_kb for one in samples if one.at_s >= from_s]
+    fifth = max(1, len(later) // 5)
+    first, last = sorted(later[:fifth]), sorted(later[-fifth:])
+    return last[len(last) // 2] / first[len(first) // 2] - 1.0
+
+
+def mixed() -> list[Asked]:
+    """What clients ask all the time."""
+    asked = []
+    for turn, (name, _, family) in enumerate(DRIVES):
+        path = f"/v1/drives/{name}/codes"
+        asked += [get("stored", f"{path}/C0150")] * 4
+        asked.append(get("drive", f"/v1/drives/{name}"))
+        if turn % 3 == 0:
+            asked.append(get("fresh", f"{path}/C0050?fresh=true"))
+            setpoint = f"{path}/{SETPOINTS[family]}"
+            asked.append(put("write", setpoint, value=10 + turn, expires="5s"))
+        if turn % 16 == 0:
+            asked.append(put("stop", "/v1/stop", "POST", action="inhibit", target=name))
+    return asked
+
+
+def roster(folder: Path, http: int, modbus: int) -> str:
+    """Write the roster of the line."""
+    return roster_text(
+        DRIVES, port=folder / "port", folder=folder, watchdog=WATCHDOG, drive=KEYS, http=http,
+        sections=f"journal: {{file: {folder / 'journal.sqlite'}, max_size: 32MB}}\n"
+        f"modbus: {{port: {modbus}}}",
+    )  # fmt: skip
+
+
+def soak(seconds: float, *, idle: bool) -> tuple[list[Sample], list[str]]:
+    """Run for a time; give the samples and what was broken."""
+    broken: list[str] = []
+    with ExitStack() as stack:
+        folder = stack.enter_context(short_dir())
+        http, modbus = free_port(), free_port()
+        text = roster(folder, http, modbus)
+        (folder / "line.yaml").write_text(text)
+        line = stack.enter_context(
+            child("support.paced_line", folder / "port", "--roster", folder / "line.yaml")
+        )
+        line.ask("so_far")
+        daemon = stack.enter_context(running(text, folder))
+        daemon.until_online(within_s=240.0)
+        words = command("bridge", "modbus", "-c", folder / "roster.yaml")
+        bridge = stack.enter_context(started(words, folder / "bridge.log"))
+        pid, journal = daemon.process.pid, folder / "journal.sqlite"
+        for _ in range(READERS):
+            reader = command("events", "--socket", daemon.socket, "--json")
+            stack.enter_context(started(reader, folder / "events.log"))
+        if not idle:
+            for _ in range(2):
+                loop = ["nice", "-n", str(5 - os.nice(0)), sys.executable, "-c", "while True: pass"]
+                stack.enter_context(started(loop, folder / "busy.log", env=environment()))
+        scraper = stack.enter_context(httpx2.Client(timeout=12.0))
+        fired, missed = line.ask("so_far")["fired"], _missed(daemon)
+        samples, scrapes, began_s = [sample(pid, journal, 0.0)], 0, time.monotonic()
+        print(samples[0].text, flush=True)
+        with Traffic(daemon.socket, mixed(), PER_S) as traffic:
+            while (at_s := time.monotonic() - began_s) < seconds:
+                scrapes += scraper.get(f"http://127.0.0.1:{http}/metrics").status_code == 200
+                samples.append(sample(pid, journal, at_s))
+                if at_s // 60 > samples[-2].at_s // 60:
+                    print(samples[-1].text, flush=True)
+                time.sleep(SCRAPE_EVERY_S)
+        print(f"{traffic.issued} requests, {scrapes} scrapes\n{traffic.summary()}", flush=True)
+        after = line.ask("so_far")
+        print(f"{after['requests']} telegrams", flush=True)
+        if after["fired"] != fired:
+            broken.append(f"watchdogs acted: {after['fired']}")
+        if _missed(daemon) != missed:
+            broken.append(f"fed too late: {_missed(daemon)}")
+        if {HANGING, CUT, 500} & set(traffic.statuses):
+            broken.append(f"requests ended as {dict(traffic.statuses)}")
+        if bridge.poll() is not None:
+            broken.append("the bridge has ended")
+        try:
+            least = samples[0].descriptors + SPARE
+            until(lambda: sample(pid, journal, 0.0).descriptors <= least, "", within_s=90.0)
+        except pytest.fail.Exception:
+            broken.append(f"descriptors stay open: {sample(pid, journal, 0.0).text}")
+        broken += judged(samples, min(600.0, seconds / 3))
+        until(lambda: set(daemon.states().values()) == {"online"}, "all online", within_s=30.0)
+        if daemon.end() != 0:
+            broken.append("the daemon did not end well")
+    return samples, broken
+
+
+def judged(samples: list[Sample], from_s: float) -> list[str]:
+    """Return what grew beyond what it may."""
+    broken = []
+    growth = grown(samples, from_s)
+    print(f"memory grew by {growth:.2%} after {from_s / 60:.0f} min", flush=True)
+    if growth >= GROWTH:
+        broken.append(f"memory grew by {growth:.2%}")
+    later = [one for one in samples if one.at_s >= from_s]
+    if (most := max(one.threads for one in later)) > later[0].threads + SPARE:
+        broken.append(f"threads grew to {most}")
+    if (size := max(one.journal_bytes for one in samples)) > 2 * JOURNAL_BYTES:
+        broken.append(f"the journal grew to {size} bytes")
+    return broken
+
+
+def _missed(daemon: Daemon) -> dict[str, float]:
+    return daemon.metric("lecombus_watchdog_misses_total")
+
+
+def main() -> int:
+    """Run; exit status 1 where something was broken."""
+    parser = argparse.ArgumentParser(prog="make soak", description=__doc__.splitlines()[0])
+    parser.add_argument("--hours", type=float, default=1.0)
+    parser.add_argument("--idle", action="store_true", help="no busy loops beside it")
+    given = parser.parse_args()
+    take_priority()
+    _, broken = soak(given.hours * 3600.0, idle=given.idle)
+    print("\n".join(f"BROKEN: {one}" for one in broken) or "nothing broken")
+    return 1 if broken else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,44 @@
+"""What the soak looks at would be seen if it grew; and a soak of some minutes."""
+
+from __future__ import annotations
+
+import pytest
+
+from soak.run import JOURNAL_BYTES, Sample, grown, judged, soak
+
+
+def samples(**at_the_end: int) -> list[Sample]:
+    """An hour of a daemon that takes as much as ever, but for what is said at its end."""
+    usual = {"rss_kb": 70_000, "descriptors": 100, "threads": 4, "journal_bytes": 2_000_000}
+    early = [Sample(at_s * 5.0, **(usual | {"rss_kb": 60_000})) for at_s in range(100)]
+    late = [Sample(500.0 + at_s * 5.0, **usual) for at_s in range(400)]
+    return [*early, *late, *(Sample(2500.0 + s, **(usual | at_the_end)) for s in range(200))]
+
+
+@pytest.mark.parametrize(
+    ("at_the_end", "said"),
+    [
+        ({}, ""),
+        ({"rss_kb": 70_600}, ""),
+        ({"rss_kb": 70_800}, "memory grew by 1.14%"),
+        ({"descriptors": 400}, ""),  # clients; when they have gone is looked at after them
+        ({"threads": 16}, ""),
+        ({"threads": 17}, "threads grew to 17"),
+        ({"journal_bytes": 2 * JOURNAL_BYTES + 1}, "the journal grew to 64000001 bytes"),
+    ],
+)
+def test_what_grows_is_seen(at_the_end: dict[str, int], said: str) -> None:
+    assert judged(samples(**at_the_end), 600.0) == ([said] if said else [])
+
+
+def test_the_first_minutes_do_not_count() -> None:
+    assert grown(samples(), 0.0) > 0.1
+    assert grown(samples(), 600.0) == 0.0
+
+
+@pytest.mark.real
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_some_minutes_of_soak_break_nothing() -> None:
+    _, broken = soak(240.0, idle=False)
+    assert [one for one in broken if "memory" not in one] == [], "memory settles after ten minutes"
