@@ -85,3 +85,13 @@ def test_an_exponent_beyond_any_decimal_is_refused(text: str) -> None:
     with pytest.raises(NotJsonError, match="too large or too small") as caught:
         decode(text.encode())
     assert len(str(caught.value)) < 150
+
+
+@pytest.mark.parametrize("number", ["1E+994", "50.10", "-214748.3648"])
+def test_decimals_stay_exact_beside_half_a_character(number: str) -> None:
+    """A client may send one; what is beside it is no less exact for that."""
+    document: Json = {"va\ud80flue": [Decimal(number), "\ud800", None, True, {}]}
+    text = encode(document)
+    assert text.isascii()
+    assert number in text
+    assert json.loads(text, parse_float=Decimal) == document

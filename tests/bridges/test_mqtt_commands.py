@@ -164,6 +164,7 @@ def test_a_command_becomes_one_request(
         ("feeder/set/C0046", '{"value": 1, "value": 2}', {}, "bad-value"),
         ("feeder/set/C0046", '{"value": NaN}', {}, "bad-value"),
         ("feeder/set/C0046", '{"value": ' + "[" * 9000, {}, "bad-value"),
+        ("feeder/set/C0046", '{"value": 1e99999999999999999999}', {}, "bad-value"),
         ("feeder/set/C0046", '{"value": 1, "expires": true}', {}, "bad-value"),
         ("feeder/set/C0046", '{"value": 1, "expires": "soon"}', {}, "bad-value"),
         ("feeder/set/C0046", '{"value": 1, "expires": "0s"}', {}, "expired"),

@@ -197,7 +197,7 @@ def _state(bench: Bench, seen: Seen) -> Injected:
     state.unlink(missing_ok=True)
     (state / "x").mkdir(parents=True)
     assert bench.write(5, "feeder", "C0012")["outcome"] == "verified", "a write needs no state"
-    until(lambda: "state" in str(bench.get("/v1/line")["remarks"]), "it is said", within_s=20.0)
+    until(lambda: "state" in str(bench.get("/v1/line")["remarks"]), "it is said", within_s=45.0)
     (state / "x").rmdir()
     state.rmdir()
     until(state.is_file, "the state is saved again", within_s=60.0)

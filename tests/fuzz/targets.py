@@ -37,6 +37,11 @@ from lecombus.api.request_models import (
     WriteBody,
 )
 from lecombus.backups.backup_file import read_backup, write_backup
+from lecombus.bridges.mqtt import commands as mqtt_commands
+from lecombus.bridges.mqtt.broker import Incoming
+from lecombus.bridges.mqtt.command_bodies import RefusedError as CommandRefusedError
+from lecombus.bridges.mqtt.command_bodies import body_of, expiry_of
+from lecombus.bridges.mqtt.topics import Topics
 from lecombus.config import RosterError, load_roster, parse_roster
 from lecombus.config.describing import describe
 from lecombus.errors import CodeValueError, ConfigError, OperationError
@@ -497,6 +502,39 @@ async def _asked(
     return status, said
 
 
+# ---- MQTT --------------------------------------------------------------------------------------
+
+TOPICS: Final = Topics("lecombus", "t")
+
+
+def check_mqtt(data: bytes) -> None:
+    """Take a topic and a payload as a command: refused with a reason, or the body of a request."""
+    how, rest = _cut(data)
+    name, _, payload = rest.partition(b"\n")
+    topic = f"lecombus/t/feeder/{'do' if how & 1 else 'set'}/{name.decode('utf-8', 'replace')}"
+    command = TOPICS.command(topic)
+    if command is None:
+        return
+    expiry_s = None if how & 2 else how >> 2
+    incoming = Incoming(topic, payload, 1, False, 0.0, expiry_s)
+    try:
+        if command.what == "set":
+            code = mqtt_commands.code_of(command.name)
+            with contextlib.suppress(CodeValueError):  # what is no code the daemon refuses
+                meant = Code.parse(code)
+                _must(Code.parse(command.name) == meant, "another code is written")
+        body = body_of(command, payload)
+        wait_s = expiry_of(incoming, body)
+    except CommandRefusedError as exc:
+        _must(bool(exc.document["reason"]), "a command is refused without a reason")
+        json.dumps(exc.document).encode("ascii")
+        return
+    _must(0.0 < wait_s <= 3600.0, "a time out of range was accepted")
+    again = json.loads(encode(cast(Json, body)), parse_float=Decimal)
+    _must(again == body, "another value would be sent")
+    mqtt_commands.key_of(incoming)
+
+
 LINE_WORDS: Final = (
     b"\x02", b"\x03", b"\x04", b"\x05", b"\x06", b"\x15", b"\x0411", b"46", b"?0", b"!002E00",
     b"\x024635.4\x03\x1d", b"\x0246\x04", b"\x0246?\x03>", b"H0900", b"S33S2102I", b"O0102",
@@ -535,6 +573,7 @@ TARGETS: Final = {
     "backup": Target(check_backup, "backups", ROSTER_WORDS),
     "bodies": Target(check_bodies, "bodies of calls", JSON_WORDS),
     "calls": Target(check_calls, "calls of the HTTP interface", JSON_WORDS),
+    "mqtt": Target(check_mqtt, "commands over MQTT", JSON_WORDS),
     "state": Target(check_state, "the saved state", JSON_WORDS),
     "tokens": Target(check_tokens, "files of tokens", JSON_WORDS),
 }

@@ -92,6 +92,7 @@ PLANTED: dict[str, tuple[str, Callable[[Any], Any]]] = {
     "backup": ("fuzz.targets.write_backup", _lossy),
     "bodies": ("fuzz.targets.encode", _lossy),
     "calls": ("support.api_line.FakeOperations.write", lambda _: None),
+    "mqtt": ("lecombus.bridges.mqtt.command_bodies.object_of", _raising(KeyError)),
     "state": ("fuzz.targets.State.text", _without_writes),
     "tokens": ("fuzz.targets.write_tokens", lambda _: lambda path, tokens: path.write_text("{}")),
 }

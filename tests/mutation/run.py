@@ -19,7 +19,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Final
 
@@ -101,7 +101,9 @@ def main() -> int:
     print(f"{len(names)} mutants, {len(chosen)} of them are run", flush=True)
     found, ran = Counter[str](), Counter[str]()
     with (PLACE / "results.jsonl").open("a") as file, ThreadPoolExecutor(given.jobs) as pool:
-        for name, is_out in zip(chosen, pool.map(is_found, chosen), strict=True):
+        runs = {pool.submit(is_found, name): name for name in chosen}
+        for run in as_completed(runs):
+            name, is_out = runs[run], run.result()
             module = name.rpartition(".")[0]
             ran[module] += 1
             found[module] += is_out

@@ -71,10 +71,19 @@ def encode(value: Json) -> str:
     try:
         text = msgspec.json.format(ENCODER.encode(value), indent=0).decode()
     except UnicodeEncodeError:  # half of a character pair, which a client may send as `\\ud800`
-        return json.dumps(value, default=float)
+        return written(value)
     if text.isascii() and DELETE not in text:
         return text
     return NOT_PRINTABLE.sub(lambda found: json.dumps(found[0])[1:-1], text)
+
+
+def written(value: Json) -> str:
+    """Return a document as JSON text where texts in it hold half a character, decimals exactly."""
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{json.dumps(key)}: {written(of)}' for key, of in value.items())}}}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(written, value))}]"
+    return json.dumps(value) if isinstance(value, str) else ENCODER.encode(value).decode()
 
 
 def decode(text: bytes) -> object:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from decimal import Decimal
+from decimal import Decimal, InvalidOperation
 from typing import Any, Final
 
 from lecombus.bridges.mqtt.broker import Incoming
@@ -107,7 +107,7 @@ def object_of(text: str) -> dict[str, Json]:
 
     try:
         found: dict[str, Json] = json.loads(
-            text, parse_float=Decimal, parse_constant=refuse_constant, object_pairs_hook=once
+            text, parse_float=decimal_of, parse_constant=refuse_constant, object_pairs_hook=once
         )
     except (ValueError, RecursionError) as exc:
         raise bad(f"the payload is no JSON object: {exc}") from exc
@@ -131,6 +131,14 @@ def plain(key: str, value: Json) -> Json:
     raise bad(f"{ascii(key)[:60]} has a value that no drive takes")
 
 
+def decimal_of(text: str) -> Decimal:
+    """Return a number with a point or exponent; one beyond any decimal is refused."""
+    try:
+        return Decimal(text)
+    except InvalidOperation as exc:
+        raise ValueError(f"{text[:60]} is too large or too small for any number") from exc
+
+
 def refuse_constant(word: str) -> None:
     """Refuse NaN and Infinity, which are no JSON."""
     raise ValueError(f"{word} is no number")
@@ -139,7 +147,7 @@ def refuse_constant(word: str) -> None:
 def number_or_text(text: str) -> Json:
     """Return a number where JSON knows it as one, else text as on the wire, such as `H0008`."""
     try:
-        found = json.loads(text, parse_float=Decimal, parse_constant=refuse_constant)
+        found = json.loads(text, parse_float=decimal_of, parse_constant=refuse_constant)
     except (ValueError, RecursionError):
         return text
     return found if isinstance(found, int | Decimal) and not isinstance(found, bool) else text
