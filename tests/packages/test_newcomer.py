@@ -81,7 +81,7 @@ def install(root: DebianRoot, package: Path) -> None:
     assert root.run("dpkg-query", "--show", "--showformat=${Version}", "lecombus") == version
     assert root.run("lecombus", "--version").split()[1] in version
     assert "(dialout)" in root.run("id", "lecombus")
-    root.run("adduser", OPERATOR, "lecombus")
+    root.run("usermod", "--append", "--groups", "lecombus", OPERATOR)
     typed = ("COMP_WORDS=lecombus st", "COMP_CWORD=1", "_LECOMBUS_COMPLETE=bash_complete")
     completed = root.run("env", *typed, "lecombus")
     assert completed.split() == ["plain,stop", "plain,status"]
@@ -241,8 +241,8 @@ def purge(root: DebianRoot, before: set[str]) -> None:
 
 def take_the_path(root: DebianRoot, package: Path, newer: Path, *, detours: bool) -> None:
     for name in (OPERATOR, VISITOR):
-        root.run("adduser", "--disabled-password", "--gecos", "", name)
-    root.run("adduser", OPERATOR, "users")
+        root.run("useradd", "--user-group", name)
+    root.run("usermod", "--append", "--groups", "users", OPERATOR)
     root.run("install", "-d", "-m", "700", str(Path(TOKENS).parent))
     before = root.files()
     install(root, package)
