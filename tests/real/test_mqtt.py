@@ -146,13 +146,24 @@ def test_a_broker_that_was_away_gets_all_events_and_the_newest_values() -> None:
         message_broker.end()
         with bridge(folder) as its_bridge:
             daemon.until_online()
+            until(
+                lambda: sum(daemon.metric("lecombus_event_readers{").values()) == 1,
+                "the bridge reads events",
+            )
             daemon.cli("write", "feeder", "C0046", "11")
-            until(lambda: (folder / "mqtt" / "events.1").exists(), "events on the disk")
+            files = [folder / "mqtt" / name for name in ("events.1", "events.2")]
+            until(
+                lambda: any('\\"11\\"' in file.read_text() for file in files if file.exists()),
+                "the write is on the disk",
+            )
             its_bridge.process.terminate()
             assert its_bridge.process.wait(8) == 0
         daemon.cli("write", "feeder", "C0046", "12")
         with bridge(folder) as its_bridge:
-            until(lambda: "event=daemon-connected" in its_bridge.log(), "it follows the daemon")
+            until(
+                lambda: sum(daemon.metric("lecombus_event_readers{").values()) == 1,
+                "the bridge reads events again",
+            )
             daemon.cli("write", "feeder", "C0046", "13")
             message_broker.start()
             until(lambda: "event=mqtt-connected" in its_bridge.log(), "it has the broker again")
