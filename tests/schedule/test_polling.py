@@ -135,3 +135,12 @@ def test_a_slot_stands_back_for_two_of_its_periods_at_most() -> None:
     polling.take(entry, 0.0)  # its next slot is at 0.5 s
     assert polling.may_wait(entry, 1.49)
     assert not polling.may_wait(entry, 1.51)
+
+
+def test_an_entry_that_left_while_it_was_set_apart_does_not_come_back() -> None:
+    polling, world = Polling(), World()
+    entry = polling.add(Cyclic("a", 1.0, lambda: world.request("a", P.CYCLIC)))
+    polling.set_apart(entry)
+    polling.leave(entry)
+    polling.rejoin(entry, 5.0)
+    assert (entry.active, polling.skipped, polling.early("a", 9.0)) == (False, 0, None)
