@@ -411,6 +411,21 @@ async def test_a_key_of_a_request_that_was_never_sent_may_be_tried_again(
     assert (await put(client, '{"value": 1}', key="a")).status_code == 200
 
 
+@pytest.mark.parametrize(
+    ("kind", "status"), [("lease-required", 403), ("latched", 409), ("offline", 504)]
+)
+async def test_a_refusal_is_remembered_so_that_a_late_repeat_moves_nothing(
+    client: httpx2.AsyncClient, line: Line, kind: str, status: int
+) -> None:
+    line.ops.error = OperationError("not now", kind=kind, remedy="")
+    first = await put(client, '{"value": 1}', key="a")
+    line.ops.error = None
+    again = await put(client, '{"value": 1}', key="a")
+    assert (first.status_code, again.status_code, again.text) == (status, status, first.text)
+    assert first.json()["sent"] is False
+    assert (await put(client, '{"value": 1}', key="b")).status_code == 200
+
+
 async def test_an_unknown_outcome_is_remembered(client: httpx2.AsyncClient, line: Line) -> None:
     line.ops.report = lambda drive, code: WriteReport(drive, code, Outcome.UNKNOWN)
     assert (await put(client, '{"value": 1}', key="a")).status_code == 504
@@ -602,17 +617,34 @@ async def test_what_was_under_way_at_the_end_of_lecombus_is_unknown_and_not_repe
     assert json.loads(bytes(answer.body))["outcome"] == "unknown"
 
 
-async def test_what_was_not_carried_out_is_not_kept() -> None:
+async def test_what_may_be_tried_later_is_not_kept() -> None:
     kept = KeptKeys()
     keys = Idempotency(lambda: 0.0, cast(Journal, kept))
 
     async def refuse() -> Response:
-        raise OperationError("busy", kind="busy", remedy="")
+        raise OperationError("the disk is full", kind="journal-failing", remedy="")
 
     with pytest.raises(OperationError):
         await keys.run(keyed("k"), b"x", refuse)
     assert kept.events == ["keep None", "forget"]
     assert kept.rows == {}
+
+
+async def test_a_refusal_is_known_after_a_restart() -> None:
+    kept = KeptKeys()
+    keys = Idempotency(lambda: 0.0, cast(Journal, kept))
+
+    async def refuse() -> Response:
+        raise OperationError("enable it first", kind="latched", remedy="enable it")
+
+    async def act() -> Response:
+        raise AssertionError
+
+    first = await keys.run(keyed("k"), b"x", refuse)
+    later = Idempotency(lambda: 5.0, cast(Journal, kept), list(kept.rows.values()))
+    again = await later.run(keyed("k"), b"x", act)
+    assert (again.status_code, again.body) == (409, first.body)
+    assert again.media_type == "application/problem+json"
 
 
 async def test_kept_keys_are_forgotten_with_those_in_memory() -> None:

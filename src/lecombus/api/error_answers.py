@@ -16,7 +16,7 @@ from lecombus.api.decimal_json import short
 from lecombus.errors import LecombusError
 from lecombus.schedule import Outcome
 
-__all__ = ["ERROR_ANSWERS"]
+__all__ = ["ERROR_ANSWERS", "known_error"]
 
 WRONG_REQUESTS: Final = frozenset((400, 401, 404, 405, 413, 414, 421, 422, 431))
 """Statuses of a request that is none: what it asks for cannot be written at all."""

@@ -2,9 +2,11 @@
 
 Strategy: the first request with a key runs; others with the same key and the same content wait
 for its end if need be and are given the same response; the same key with other content is
-refused. Only requests that were carried out are remembered, with any outcome: when nothing
-was sent at all (queue full, line lost, not understood, the client gone), the same key may be tried
-again; a request that waited for such a first one takes its place.
+refused. Every final answer is remembered, also a refusal: what was refused once, such as an
+enable of a latched drive, must not happen because an old request is repeated. What only says
+"later" (`TRY_LATER`: queue full, line lost, refused too often, the client gone) and an
+error in lecombus are not: the same key may be tried again, and a request that waited for such a
+first one takes its place.
 
 Stops are different (`SharedStops`): a repeat shares the first one's result only while that is under
 way. Afterwards the drive may have been started again, so a repeat is a new stop and is sent; and
@@ -37,6 +39,8 @@ from starlette.responses import Response
 
 from lecombus.api.answers import STATUS_BY_KIND, ProblemDocument, RefusedRequestError
 from lecombus.api.decimal_json import short
+from lecombus.api.error_answers import known_error
+from lecombus.errors import LecombusError
 from lecombus.journal.journal import Journal
 from lecombus.journal.journal_file import JournalFileError
 from lecombus.journal.kept import KeyRow
@@ -67,6 +71,8 @@ KEPT_BYTES: Final = 16384
 restart is answered by `unknown` then. All keys together take less than half of the least file."""
 
 CLIENT_GONE: Final = STATUS_BY_KIND["client-gone"][0]
+TRY_LATER: Final = frozenset((CLIENT_GONE, 429, 503))
+"""Statuses of refusals after which the same request, with the same key, may be sent again."""
 
 
 @dataclass(slots=True, eq=False)
@@ -111,7 +117,7 @@ class Idempotency:
         Args:
             request: The request.
             body: Its body.
-            act: Carries it out; an error that it raises is not remembered.
+            act: Carries it out; what it raises is answered, and remembered unless `TRY_LATER`.
 
         Raises:
             ProblemError: The key was used for another request, is malformed or one of two, or too
@@ -130,7 +136,7 @@ class Idempotency:
             if entry.response is not None:
                 return entry.response
         self._go_back(ago_s)
-        return await self._first(key, content, act)
+        return await self._first(key, content, lambda: answer_of(request, act))
 
     def _go_back(self, ago_s: float) -> None:
         """Let a repeat count as asked for when it was asked for first.
@@ -170,7 +176,7 @@ class Idempotency:
             else:
                 self._forget(key)
             return response
-        except Exception:  # of any kind: what ended in an error may be asked again
+        except Exception:  # of any kind: later, or a mistake in lecombus
             self._forget(key)
             raise
         finally:
@@ -211,6 +217,21 @@ class Idempotency:
         raise RefusedRequestError(
             ProblemDocument("queue-full", f"{KEY_LIMIT} requests with a key are under way already")
         )
+
+
+async def answer_of(request: Request, act: Callable[[], Awaitable[Response]]) -> Response:
+    """Return the answer to a request, also where it is refused for good.
+
+    Raises:
+        LecombusError: It may be tried again later.
+    """
+    try:
+        return await act()
+    except LecombusError as exc:
+        response = await known_error(request, exc)
+        if response.status_code in TRY_LATER:
+            raise
+        return response
 
 
 def entry_of(row: KeyRow, now_s: float) -> Entry:
