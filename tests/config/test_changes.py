@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from lecombus.config import Roster, RosterChanges, RosterError, parse_roster, roster_changes
+from lecombus.config import (
+    Roster,
+    RosterChanges,
+    RosterError,
+    parse_roster,
+    roster_changes,
+    roster_values,
+)
 from lecombus.config.changes import FIXED, differing_keys
 from lecombus.config.container_types import ListOf, Table
 from lecombus.config.keys import roster_table
@@ -105,6 +112,50 @@ def test_a_key_that_was_taken_out_has_the_place_of_its_part() -> None:
     running = parse_roster(text(DRIVES, line="\n  retries: 1"), "hall.yaml")
     with pytest.raises(RosterError, match=r"^hall.yaml:1:1: `line.retries` cannot change"):
         parse_roster(text(DRIVES), "hall.yaml", running)
+
+
+JOURNAL_FIELDS = "journal: {file: /var/a.sqlite, max_size: 64MB}"
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "named"),
+    [
+        ("journal: /var/a.sqlite", "journal: /var/x.sqlite", "9:1: `journal.file`"),
+        (JOURNAL_FIELDS, JOURNAL_FIELDS.replace("a.sq", "x.sq"), "9:11: `journal.file`"),
+        (JOURNAL_FIELDS, JOURNAL_FIELDS.replace("64", "65"), "9:32: `journal.max_size`"),
+        ("journal: /var/a.sqlite", "journal: {file: /var/a.sqlite, on_failure: go-on}",
+         "9:32: `journal.on_failure`"),
+        ("journal: /var/a.sqlite", "", "1:1: `journal`"),
+        ("", "journal: /var/a.sqlite", "9:1: `journal`"),
+        ("", "api: {tokens: /etc/t}", "9:7: `api.tokens`"),
+        ("", "api: {read_only: true}", "9:7: `api.read_only`"),
+        ("api: {http: 127.0.0.1:1, tls: {certificate: /a, key: /b}}",
+         "api: {http: 127.0.0.1:1, tls: {certificate: /c, key: /b}}", "9:26: `api.tls`"),
+        ("state: /var/a", "state: /var/b", "9:1: `state`"),
+    ],
+)  # fmt: skip
+def test_every_key_that_needs_a_restart_is_named_beside_others(
+    before: str, after: str, named: str
+) -> None:
+    def of(sections: str, baud: int) -> str:
+        return text(DRIVES, line=f"\n  baud: {baud}", sections=sections)
+
+    running = parse_roster(of(before, 9600), "hall.yaml")
+    with pytest.raises(RosterError) as alone:
+        parse_roster(of(after, 9600), "hall.yaml", running)
+    assert [str(one).partition(" cannot")[0] for one in alone.value.mistakes] == [
+        f"hall.yaml:{named}"
+    ]
+    with pytest.raises(RosterError) as beside:
+        parse_roster(of(after, 19200), "hall.yaml", running)
+    places = {str(one).partition(" cannot")[0] for one in beside.value.mistakes}
+    assert places == {f"hall.yaml:{named}", "hall.yaml:4:3: `line.baud`"}
+
+
+def test_the_file_of_the_journal_is_one_of_the_values_of_a_roster() -> None:
+    found = roster_values(roster(sections="journal: /var/a.sqlite"))
+    assert found["journal.file"] == "/var/a.sqlite"
+    assert "file" not in found
 
 
 def test_other_mistakes_are_listed_with_it_as_far_as_they_are_found_then() -> None:

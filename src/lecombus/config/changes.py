@@ -28,8 +28,8 @@ __all__ = [
 FIXED: Final = ("line", "api", "journal", "state")
 """The parts of a roster that only a restart changes."""
 
-_WITHOUT_KEY: Final = ("file", "not_yet_used", "slow")
-"""Fields that no key gives."""
+_WITHOUT_KEY: Final = ("not_yet_used", "slow")
+"""Fields that no key gives; nor does one give the `file` of the roster itself."""
 
 _RENAMED: Final[Mapping[str, str]] = {"forms": "addressing"}
 """Keys whose field has another name, beyond the unit behind it."""
@@ -113,9 +113,16 @@ def parts_of(model: BaseModel) -> dict[str, Any]:
     """Return the values of a model by their keys."""
     return {
         _RENAMED.get(field, field.removesuffix("_s")): getattr(model, field)
-        for field in type(model).model_fields
-        if field not in _WITHOUT_KEY
+        for field in fields_with_key(model)
     }
+
+
+def fields_with_key(model: BaseModel) -> Iterator[str]:
+    """Yield the fields of a model that a key of the file gives."""
+    of_roster = isinstance(model, Roster)
+    for field in type(model).model_fields:
+        if field not in _WITHOUT_KEY and not (of_roster and field == "file"):
+            yield field
 
 
 def flatten(path: str, value: Any, found: dict[str, str]) -> None:
@@ -159,8 +166,8 @@ def groups_differ(old: Roster, new: Roster, name: str) -> bool:
 
 def differing_keys(old: BaseModel, new: BaseModel) -> Iterator[str]:
     """Yield the keys by which two entries of one kind differ."""
-    for field in type(new).model_fields:
-        if field not in _WITHOUT_KEY and getattr(old, field) != getattr(new, field):
+    for field in fields_with_key(new):
+        if getattr(old, field) != getattr(new, field):
             yield _RENAMED.get(field, field.removesuffix("_s"))
 
 
@@ -178,7 +185,7 @@ def check_restart(node: MappingNode, new: Roster, running: Roster, mistakes: Mis
         if was == now:
             continue
         both = isinstance(was, BaseModel) and isinstance(now, BaseModel)
-        keys = list(differing_keys(was, now)) if both else [""]
+        keys = (list(differing_keys(was, now)) if both else []) or [""]
         for key in keys:
             what = f"`{part}{key and '.'}{key}` cannot change while lecombus runs"
             right = "restart lecombus, or put the old value back"
