@@ -20,6 +20,8 @@ from openapi.answer_models import JournalDocument, VerifiedDocument
 
 pytestmark = [pytest.mark.anyio, pytest.mark.clock]
 
+AFTER = "after takes the number of a row, 0 to 9007199254740992, not"
+
 GROUPS = {"all": SimpleNamespace(members=("a", "b")), "one": SimpleNamespace(members=("b",))}
 
 
@@ -102,6 +104,36 @@ async def test_verifying_names_the_head(client: httpx2.AsyncClient, journal: Jou
 )
 async def test_what_cannot_be_asked_is_refused(client: httpx2.AsyncClient, query: str) -> None:
     assert (await client.get(f"/v1/journal?{query}")).status_code == 422
+
+
+@pytest.mark.parametrize(
+    ("path", "said"),
+    [
+        (f"?after={2**53 + 1}", f"{AFTER} '9007199254740993'"),
+        (f"?after={2**63 - 1}", AFTER),
+        (f"?after={'9' * 5000}", AFTER),
+        ("?limit=501", "limit takes a whole number, 1 to 500, not '501'"),
+        ("?last=maybe", "last takes true or false, not 'maybe'"),
+        ("?since=soon", "since takes a time, not 'soon'"),
+        ("/verify?head=305:00", "head takes NUMBER:HASH as in the log's event journal-head, with"),
+    ],
+    ids=lambda word: word[:30],
+)
+async def test_a_wrong_value_is_said_with_what_it_takes(
+    client: httpx2.AsyncClient, path: str, said: str
+) -> None:
+    answer = await client.get(f"/v1/journal{path}")
+    assert answer.status_code == 422
+    assert answer.json()["detail"].startswith(said)
+    assert "openapi" not in answer.text and "pattern" not in answer.text
+
+
+async def test_the_largest_number_and_the_first_and_last_times_are_answered(
+    client: httpx2.AsyncClient,
+) -> None:
+    assert await numbers(client, after=str(2**53)) == ([], None)
+    assert (await numbers(client, since="0001-01-01T00:00:00+14:00", limit="1"))[0] == [1]
+    assert await numbers(client, since="9999-12-31T23:59:59-14:00") == ([], None)
 
 
 @pytest.mark.parametrize("head", ["5", "5:12", "x:" + "0" * 64])

@@ -10,7 +10,14 @@ import pytest
 from lecombus.api import decimal_json, request_checks, request_models
 from lecombus.api.answers import RefusedRequestError
 from lecombus.api.limits import BODY_LIMIT
-from lecombus.api.request_models import AcceptBody, Body, DriveWriteBody, SpeedBody, StopBody
+from lecombus.api.request_models import (
+    AcceptBody,
+    Body,
+    DriveWriteBody,
+    LeaseBody,
+    SpeedBody,
+    StopBody,
+)
 
 MODELS = (DriveWriteBody, StopBody, SpeedBody, AcceptBody)
 
@@ -79,6 +86,21 @@ def test_an_identity_of_thousands_of_codes_is_refused_before_they_are_looked_at(
     raw = b'{"identity": %s}' % many('"C%04d":1')
     assert "identity takes what the drive said of itself" in said_of(raw, AcceptBody)
     assert calls["mistake_text"] == 1
+
+
+@pytest.mark.parametrize(
+    ("targets", "said"),
+    [
+        ("[]", "an empty array"),
+        ("[5]", "an array with 5"),
+        ('["a", null]', "an array with null"),
+        ("[" + ",".join(['"a"'] * 101) + "]", "an array of 101"),
+        ('"a"', "'a'"),
+    ],
+)
+def test_a_wrong_list_of_targets_is_said_by_what_is_wrong_with_it(targets: str, said: str) -> None:
+    text = said_of(b'{"counter": 1, "time": "2s", "targets": %s}' % targets.encode(), LeaseBody)
+    assert text == f"targets takes a list of 1 to 100 names of drives and groups, not {said}"
 
 
 @pytest.mark.parametrize("number", ["9" * 129, "-" + "9" * 128, "1." + "9" * 127, "0e" + "0" * 127])

@@ -6,9 +6,9 @@ written giving way to other tasks. A client that wants all rows asks again behin
 
 from __future__ import annotations
 
-from collections.abc import Awaitable
+from collections.abc import Awaitable, Mapping
 from datetime import UTC, datetime
-from typing import Annotated, Final, TypeVar
+from typing import Annotated, ClassVar, Final, TypeVar
 
 import anyio.lowlevel
 from pydantic import Field
@@ -23,7 +23,7 @@ from lecombus.api.answers import (
     text_response,
 )
 from lecombus.api.decimal_json import encode
-from lecombus.api.request_checks import read_query
+from lecombus.api.request_checks import read_query, refusal, shown
 from lecombus.api.request_models import Query
 from lecombus.drive_state.readings import rfc3339
 from lecombus.journal.chain import Head
@@ -38,13 +38,30 @@ __all__ = ["JournalQuery", "JournalRoutes", "VerifyQuery"]
 ROWS_AT_ONCE: Final = 16
 """Rows written before other tasks run: about a quarter of a millisecond."""
 
+ROWS_MOST: Final = 500
+
+LARGEST_NUMBER: Final = 2**53
+"""Far above any row's number; SQLite counts to 2**63, programs that read JSON often less."""
+
+TIME_EXAMPLE: Final = "such as 2026-11-23T06:00:00Z"
+
 T = TypeVar("T")
 
 
 class JournalQuery(Query):
     """Which rows are wanted."""
 
-    after: Annotated[int, Field(ge=0, description="Only rows with a larger number")] = 0
+    right: ClassVar[Mapping[str, str]] = {
+        "after": f"the number of a row, 0 to {LARGEST_NUMBER}",
+        "since": f"a time of at most 40 characters, {TIME_EXAMPLE}",
+        "drive": "the name of a drive or a group",
+        "limit": f"a whole number, 1 to {ROWS_MOST}",
+        "last": "true or false",
+    }
+
+    after: Annotated[
+        int, Field(ge=0, le=LARGEST_NUMBER, description="Only rows with a larger number")
+    ] = 0
     since: Annotated[
         str, Field(max_length=40, description="Only rows of that time or later, RFC 3339")
     ] = ""
@@ -54,12 +71,16 @@ class JournalQuery(Query):
             max_length=64, description="Only rows of that drive and its groups, or of that group"
         ),
     ] = ""
-    limit: Annotated[int, Field(ge=1, le=500, description="How many rows at most")] = 100
+    limit: Annotated[int, Field(ge=1, le=ROWS_MOST, description="How many rows at most")] = 100
     last: Annotated[bool, Field(description="The newest rows; without after and since")] = False
 
 
 class VerifyQuery(Query):
     """What the chain is compared with."""
+
+    right: ClassVar[Mapping[str, str]] = {
+        "head": "NUMBER:HASH as in the log's event journal-head, with 64 digits 0-9a-f as HASH",
+    }
 
     head: Annotated[
         str, Field(pattern="^([0-9]{1,18}:[0-9a-f]{64})?$", description="A head that was logged")
@@ -88,7 +109,7 @@ class JournalRoutes:
         query, journal = read_query(request, JournalQuery), self._there()
         since_ms = unix_ms(query.since)
         if query.last and (query.after or query.since):
-            raise bad_query("last takes no after and no since")
+            raise refusal("last takes no after and no since", "leave out last, or the others")
         drives = self._names(query.drive)
         if query.last:
             rows = await answered(journal.last_rows(drives=drives, most=query.limit))
@@ -184,11 +205,8 @@ def unix_ms(text: str) -> int:
     try:
         time = datetime.fromisoformat(text)
     except ValueError as exc:
-        raise bad_query("since is no time such as 2026-11-23T06:00:00Z") from exc
+        raise refusal(
+            f"since takes a time, not {shown(text)}", f"write one {TIME_EXAMPLE}"
+        ) from exc
     aware = time if time.tzinfo is not None else time.replace(tzinfo=UTC)
     return max(0, round(aware.timestamp() * 1000))
-
-
-def bad_query(text: str) -> RefusedRequestError:
-    """Return the error for a query that cannot be answered."""
-    return RefusedRequestError(ProblemDocument("bad-request", text, remedy="see /openapi.json"))

@@ -196,8 +196,9 @@ def read_query(request: Request, model: type[Q]) -> Q:
     try:
         query = model.model_validate(dict(request.query_params))
     except ValidationError as exc:
-        mistakes = "; ".join(f"{one['loc'][-1]}: {one['msg']}" for one in exc.errors())
-        raise refusal(mistakes, "see /openapi.json") from exc
+        given = dict(request.query_params)
+        found = [mistake_text(one, given, model) for one in exc.errors(include_url=False)]
+        raise refusal("; ".join(dict.fromkeys(found)), "") from exc
     refuse_unknown(request, tuple(model.model_fields))
     return query
 
@@ -232,14 +233,28 @@ def unknown_key(key: str, known: tuple[str, ...]) -> str:
     return f"there is no key {short(key)}: {nearest(key, known)}"
 
 
-def mistake_text(error: Mapping[str, object], given: Mapping[str, object], model: type[B]) -> str:
+def mistake_text(
+    error: Mapping[str, object], given: Mapping[str, object], model: type[Body | Query]
+) -> str:
     """Return one mistake pydantic found, as a person would say it."""
     place = error["loc"]
     key = str(place[0]) if isinstance(place, tuple) and place else ""
     right = {**RIGHT, **model.right}
     if error["type"] == "missing":
         return f"key {key} is missing: it takes {right[key]}"
-    return f"{key} takes {right[key]}, not {shown(given.get(key))}"
+    return f"{key} takes {right[key]}, not {what_stands(error, given.get(key))}"
+
+
+def what_stands(error: Mapping[str, object], value: object) -> str:
+    """Return a wrong value; of a list that is right as such, what is wrong with it."""
+    place = error["loc"]
+    if not isinstance(value, list) or not isinstance(place, tuple):
+        return shown(value)
+    if len(place) > 1 and isinstance(place[1], int):
+        return f"an array with {shown(value[place[1]])}"
+    if error["type"] == "too_short":
+        return "an empty array"
+    return f"an array of {len(value)}" if error["type"] == "too_long" else shown(value)
 
 
 def shown(value: object) -> str:

@@ -286,7 +286,7 @@ class LeaseBody(Body):
     """What a client asks of a lease: `targets` and `time` to take it, `token` to renew it."""
 
     right: ClassVar[Mapping[str, str]] = {
-        "targets": "a list of drives and groups",
+        "targets": f"a list of 1 to {LEASE_TARGETS} names of drives and groups",
         "time": 'a duration such as "2s", at most the `lease.time` of each drive',
         "token": "what the answer to taking it had as `token`",
         "counter": "a whole number, larger with each renewal",
@@ -339,9 +339,14 @@ class Query(BaseModel):
 
     model_config = ConfigDict(frozen=True)
 
+    right: ClassVar[Mapping[str, str]] = {}
+    """What a parameter takes, for messages."""
+
 
 class ValueQuery(Query):
     """How a code is read."""
+
+    right: ClassVar[Mapping[str, str]] = {"fresh": "true or false"}
 
     fresh: Annotated[bool, Field(description="Read it now")] = False
     priority: Annotated[Urgency, Field(description=RIGHT["priority"])] = Urgency.INTERACTIVE
@@ -376,6 +381,8 @@ class EventQuery(Query):
 class AddressQuery(Query):
     """How a code is read at an address that the roster does not have."""
 
+    right: ClassVar[Mapping[str, str]] = {"patient": "true or false"}
+
     addressing: Annotated[str, Field(description="standard or extended")] = "standard"
     family: Annotated[str, Field(description="By whose answer times to wait")] = "generic"
     patient: Annotated[bool, Field(description="Wait longer than any family needs")] = False
@@ -383,6 +390,8 @@ class AddressQuery(Query):
 
 class WhyQuery(Query):
     """How it is found out why a drive does not turn."""
+
+    right: ClassVar[Mapping[str, str]] = {"fresh": "true or false", "lang": "en or de"}
 
     fresh: Annotated[bool, Field(description="Read the few codes that matter first")] = False
     lang: Annotated[Language, Field(description="en or de")] = Language.EN
