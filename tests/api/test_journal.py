@@ -125,7 +125,8 @@ async def test_a_wrong_value_is_said_with_what_it_takes(
     answer = await client.get(f"/v1/journal{path}")
     assert answer.status_code == 422
     assert answer.json()["detail"].startswith(said)
-    assert "openapi" not in answer.text and "pattern" not in answer.text
+    assert "openapi" not in answer.text
+    assert "pattern" not in answer.text
 
 
 async def test_the_largest_number_and_the_first_and_last_times_are_answered(
