@@ -287,8 +287,14 @@ def test_a_plain_write_that_stops_a_latched_drive_waits_for_no_reading(
                 report = await client.do(client.ops.write("a", Code(code), value))
                 assert report.outcome.is_good
             else:
-                refused = await kind_of_refusal(client.do(client.ops.write("a", Code(code), value)))
-                assert refused == "latched"
+                with pytest.raises(OperationError) as latched:
+                    await client.do(client.ops.write("a", Code(code), value))
+                with pytest.raises(OperationError) as needed:
+                    await client.ops.write("a", Code(code), value)
+                assert (latched.value.kind, needed.value.kind) == ("latched", "lease-required")
+                for one in (latched.value, needed.value):
+                    assert "POST /v1/stop or `lecombus stop a`" in one.remedy
+                    assert "enable it" not in one.remedy
             asked = [one for one in list(plant.line["a"].log)[before:] if one.code in (1, 135)]
             assert not [one for one in asked if one.kind == "read"]
             client.alive = False
@@ -439,6 +445,23 @@ def test_a_stop_of_a_silenced_drive_goes_out_and_it_stays_silenced() -> None:
         since_s = plant.now_s
         await anyio.sleep(60.0)
         assert plant.sent_to(11, since_s) == []
+
+    with_plant(test, roster(policy="silence"))
+
+
+def test_why_says_that_a_drive_is_silenced_on_purpose_and_that_a_lease_ends_it() -> None:
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as first:
+            first.alive = False
+        await anyio.sleep(15.0)  # its watchdog's time has passed, and all drives are silent
+        report = await plant.site.operations.why("a")
+        assert [one.name for one in report.findings] == ["silenced", "latched"]
+        silenced = report.findings[0]
+        assert report.answer is silenced.text
+        assert "nothing is sent to it on purpose since" in silenced.text.en
+        assert "lease plc lapsed" in silenced.text.en
+        assert silenced.remedy.en.startswith("take a lease for it")
+        assert "baud" not in "".join(one.remedy.en for one in report.findings)
 
     with_plant(test, roster(policy="silence"))
 

@@ -192,13 +192,21 @@ OFFLINE_REMEDY: Final = Text(
     "check its supply, address, baud rate and plug; it is asked again all the time",
     "Versorgung, Adresse, Baudrate und Stecker prüfen; er wird weiter regelmäßig abgefragt",
 )
+SILENCED_REMEDY: Final = Text(
+    "take a lease for it: it is spoken to again once its watchdog has had its time; then have it "
+    "stopped, write the setpoint and enable it (docs/leases.md)",
+    "ein Lease für ihn nehmen: er wird wieder angesprochen, sobald seine Überwachung ihre Zeit "
+    "hatte; dann stoppen, Sollwert schreiben und freigeben (docs/leases.md)",
+)
 STARTING_REMEDY: Final = Text(
     "wait; what keeps the audit from ending stands behind the colon",
     "warten; was die Prüfung aufhält, steht hinter dem Doppelpunkt",
 )
 LAPSE_REMEDY: Final = Text(
-    "see lecombus_watchdog_misses_total; a longer time, fewer drives or a higher baud rate",
-    "siehe lecombus_watchdog_misses_total; längere Zeit, weniger Antriebe oder höhere Baudrate",
+    "if the log has `silenced` before it, that was on purpose; else a longer time, fewer drives or "
+    "a higher baud rate (lecombus_watchdog_misses_total counts both)",
+    "steht im Protokoll davor `silenced`, war es Absicht; sonst längere Zeit, weniger Antriebe "
+    "oder höhere Baudrate (lecombus_watchdog_misses_total zählt beides)",
 )
 UNSEEN_STOP: Final = Text(
     "a quick stop that it set may last, for no status word of this family shows one: lecombus "
@@ -261,6 +269,16 @@ def state_finding(info: DriveInfo) -> StandstillFinding | None:
         )
         return StandstillFinding("not-audited", Weight.REASON, text, STARTING_REMEDY)
     return None
+
+
+def silenced_finding(info: DriveInfo) -> StandstillFinding:
+    """Say that it is sent nothing on purpose; its reason says why."""
+    since = rfc3339(info.since_s)
+    text = Text(
+        f"nothing is sent to it on purpose since {since}: {info.reason}",
+        f"ihm wird seit {since} absichtlich nichts gesendet: {info.reason}",
+    )
+    return StandstillFinding("silenced", Weight.REASON, text, SILENCED_REMEDY)
 
 
 def fault_finding(info: DriveInfo) -> StandstillFinding | None:

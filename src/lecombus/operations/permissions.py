@@ -19,6 +19,7 @@ from lecombus.config import DriveEntry
 from lecombus.drive_state.readings import DriveState, LineState
 from lecombus.drive_state.store import Store
 from lecombus.drives import Family, Verb, check_allowed, encode_for, not_restored, saving_rule
+from lecombus.drives.stops import asks_to_stop
 from lecombus.errors import CodeValueError, LineClosedError, OperationError
 from lecombus.fieldbus.protocols import find
 from lecombus.fieldbus.requests import Station
@@ -104,7 +105,19 @@ class Permissions:
             ) from exc
         if needs_lease(station.family, code, wire):
             as_asked = use or use_of(station.family, code, wire, restoring=restoring)
-            self.leases.check(drive, as_asked)
+            try:
+                self.leases.check(drive, as_asked)
+            except OperationError as exc:
+                if not asks_to_stop(station.family, code, wire):
+                    raise
+                raise OperationError(
+                    str(exc),
+                    kind=exc.kind,
+                    drive=drive,
+                    code=str(code),
+                    remedy=f"stop it by POST /v1/stop or `lecombus stop {drive}`: that needs "
+                    "neither a lease nor an enable",
+                ) from exc
         return wire
 
     def lease_check(

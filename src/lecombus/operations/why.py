@@ -49,6 +49,7 @@ from lecombus.operations.findings import (
     line_finding,
     lock_finding,
     silence_finding,
+    silenced_finding,
     state_finding,
 )
 from lecombus.operations.operation_reports import VerbReport
@@ -263,6 +264,9 @@ class StandstillDiagnosis:
     def _own(self, info: DriveInfo) -> list[StandstillFinding]:
         """What the line, the drive's own state and its fault say."""
         line = self._store.line()
+        if self._is_silenced(info.name):
+            found = [line_finding(line), silenced_finding(info), fault_finding(info)]
+            return [one for one in found if one is not None]
         found = [line_finding(line) or silence_finding(info, line)]
         found += [None if found[0] else state_finding(info), fault_finding(info)]
         return [one for one in found if one is not None]
@@ -273,7 +277,7 @@ class StandstillDiagnosis:
         if info.remarks.get("lease", "").startswith("latched"):
             found.append(latch_finding(info.remarks["lease"]))
         lapses = self._lapses(info.name)
-        if lapses:
+        if lapses and not self._is_silenced(info.name):
             since = lapses > self._drives.get(info.name).enable.lapses_then
             seen = status_shows_quick_stop(self._store.family(info.name))
             found.append(lapse_finding(lapses, unseen=since and not seen))
@@ -288,6 +292,10 @@ class StandstillDiagnosis:
         return (
             finding.with_codes_opened([family.spoken(one) for one in codes]) if codes else finding
         )
+
+    def _is_silenced(self, drive: str) -> bool:
+        """Whether nothing is sent to it on purpose, so that its watchdog acts."""
+        return bool(self._drives.get(drive).health.silenced)
 
     def _lapses(self, drive: str) -> int:
         feed = self._requests.worker.schedule.stats(self._clock()).feeds.get(drive)
