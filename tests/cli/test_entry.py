@@ -20,6 +20,7 @@ import lecombus
 from cli.conftest import Run
 from lecombus.cli import entry
 from lecombus.errors import CodeValueError, LineLostError, OperationError
+from support.certificates import Certificates, make_certificates
 from support.golden import Golden
 
 pytestmark = pytest.mark.clock
@@ -225,6 +226,74 @@ def test_check_describes_a_right_roster(run: Run, roster: Path) -> None:
     document = json.loads(run("check", "-c", str(roster), "--json").out)
     assert document["ok"] is True
     assert document["groups"][0]["name"] == "all"
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Certificates:
+    return make_certificates(tmp_path)
+
+
+def warned(run: Run, roster: Path, sections: str) -> list[str]:
+    """The warnings of check beyond those of the bare roster."""
+    roster.write_text(ROSTER)
+    usual = json.loads(run("check", "-c", str(roster), "--json").out)["warnings"]
+    roster.write_text(ROSTER + sections)
+    ran = run("check", "-c", str(roster), "--json")
+    assert (ran.status, ran.err) == (0, "")
+    return [one for one in json.loads(ran.out)["warnings"] if one not in usual]
+
+
+@pytest.mark.parametrize(
+    ("certificate", "key", "said"),
+    [
+        ("server.pem", "server.key", ""),
+        ("gone.pem", "server.key", "gone.pem: there is no such file"),
+        ("server.pem", "gone.key", "gone.key: it cannot be read (No such file or directory)"),
+        ("server.key", "server.pem", "server.pem: others may read or write it"),
+        ("server.pem", "plc.key", "server.pem: it cannot be used with the key"),
+        ("server.key", "plc.key", "server.key: it cannot be used with the key"),
+    ],
+)
+def test_check_warns_of_tls_files_that_run_would_refuse(
+    run: Run, roster: Path, files: Certificates, certificate: str, key: str, said: str
+) -> None:
+    tls = f"{{certificate: {files.path(certificate)}, key: {files.path(key)}}}"
+    found = warned(run, roster, f"api: {{http: '127.0.0.1:1', tls: {tls}}}")
+    assert len(found) == bool(said)
+    assert all(f"api.tls: {files.folder}/{said}" in one for one in found)
+
+
+def test_check_warns_of_tokens_that_would_not_be_used(run: Run, roster: Path) -> None:
+    path = roster.parent / "tokens"
+    sections = f"api: {{http: '127.0.0.1:1', tokens: {path}}}"
+    assert ["there is no such file" in one for one in warned(run, roster, sections)] == [True]
+    path.write_text("{")
+    path.chmod(0o640)
+    assert ["it is no JSON" in one for one in warned(run, roster, sections)] == [True]
+    path.write_text('{"version": 1, "tokens": []}')
+    assert warned(run, roster, sections) == []
+    path.chmod(0o666)
+    assert ["others may write it" in one for one in warned(run, roster, sections)] == [True]
+
+
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        ("j.sqlite", ""),
+        ("folder", "this is a directory"),
+        ("gone/j.sqlite", "there is no directory"),
+        ("file/j.sqlite", "file is no directory"),
+        ("/var/lib/lecombus/j.sqlite", ""),
+        ("/dev/null", "this is no regular file"),
+    ],
+)
+def test_check_warns_of_a_journal_that_cannot_be(
+    run: Run, roster: Path, place: str, said: str
+) -> None:
+    (roster.parent / "folder").mkdir()
+    (roster.parent / "file").write_text("")
+    found = warned(run, roster, f"journal: {roster.parent / place}")
+    assert [said in one for one in found] == [True] * bool(said)
 
 
 def command_line(*words: str) -> list[str]:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import asdict
+import os
+import stat
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import click
@@ -13,8 +16,12 @@ from lecombus.cli.arguments import json_option, roster_option
 from lecombus.cli.exits import Exit
 from lecombus.cli.screen import on_terminal, show_rows
 from lecombus.config import RosterError, load_roster
+from lecombus.config.building import STATE_DIR
 from lecombus.config.describing import DescribedDrive, DescribedGroup, Description, describe
+from lecombus.errors import OperationError
 from lecombus.fieldbus.protocols import find
+from lecombus.roster import Roster, TlsEntry
+from lecombus.tokens.token_file import read_tokens
 
 __all__ = ["check_command", "gathered", "pipe_rows"]
 
@@ -46,6 +53,8 @@ def check_command(roster: Path, as_json: bool) -> int:
     try:
         loaded = load_roster(roster)
         description, reach = describe(loaded), find(loaded.line.protocol).group_reach
+        warnings = (*description.warnings, *file_warnings(loaded))
+        description = replace(description, warnings=warnings)
     except RosterError as exc:
         if not as_json:
             raise
@@ -59,6 +68,72 @@ def check_command(roster: Path, as_json: bool) -> int:
     else:
         show_rows((), pipe_rows(description, reach))
     return Exit.DONE
+
+
+def file_warnings(roster: Roster) -> Iterator[str]:
+    """Warn of files that the daemon could not use if it were this user on this machine.
+
+    They are no mistakes: the roster may be for another machine, and what this user may not read
+    the daemon's may.
+    """
+    api, journal = roster.api, roster.journal
+    with contextlib.suppress(PermissionError):
+        if api.tls is not None and (text := tls_mistake(api.tls)):
+            yield f"api.tls: {text}; `lecombus run` does not start with it"
+    with contextlib.suppress(PermissionError):
+        if api.tokens is not None and (text := tokens_mistake(Path(api.tokens))):
+            yield f"api.tokens {text}; until then TCP has no valid token"
+    with contextlib.suppress(PermissionError):
+        if journal is not None and (text := journal_mistake(Path(journal.file))):
+            yield f"journal {journal.file}: {text}, so that it cannot be written"
+
+
+def tls_mistake(entry: TlsEntry) -> str:
+    """Say what is wrong with certificate and key; empty: nothing that can be seen here."""
+    from lecombus.api.tls import TlsFileError, context_of
+
+    try:
+        context_of(entry)
+    except TlsFileError as exc:
+        return "" if isinstance(exc.__cause__, PermissionError) else f"{exc} ({exc.remedy})"
+    return ""
+
+
+def tokens_mistake(path: Path) -> str:
+    """Say what is wrong with the file of tokens; empty: nothing that can be seen here."""
+    try:
+        read_tokens(path, of_any_user=True)
+    except OperationError as exc:
+        return "" if isinstance(exc.__cause__, PermissionError) else f"{exc} ({exc.remedy})"
+    if stat_of(path) is None:
+        return f"{path}: there is no such file (make tokens by `lecombus token new`)"
+    return ""
+
+
+def journal_mistake(path: Path) -> str:
+    """Say why there can be no journal; empty: nothing that can be seen here."""
+    found, folder = stat_of(path), stat_of(path.parent)
+    if found is not None and not stat.S_ISREG(found.st_mode):
+        return "this is a directory" if stat.S_ISDIR(found.st_mode) else "this is no regular file"
+    if folder is None and path.parent != STATE_DIR:  # that one is made when the service starts
+        return f"there is no directory {path.parent}"
+    if folder is not None and not stat.S_ISDIR(folder.st_mode):
+        return f"{path.parent} is no directory"
+    return ""
+
+
+def stat_of(path: Path) -> os.stat_result | None:
+    """Return what the system knows of a file; None: there is none.
+
+    Raises:
+        PermissionError: This user may not know.
+    """
+    try:
+        return path.stat()
+    except PermissionError:
+        raise
+    except OSError:
+        return None
 
 
 def pipe_rows(description: Description, reach: Reach) -> list[tuple[str, ...]]:

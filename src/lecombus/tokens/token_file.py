@@ -145,14 +145,19 @@ class Tokens:
         return next((one for one in self.entries if one.name == name), None)
 
 
-def read_tokens(path: Path) -> Tokens:
+def read_tokens(path: Path, *, of_any_user: bool = False) -> Tokens:
     """Return the tokens of a file; none if there is no file.
+
+    Args:
+        path: The file.
+        of_any_user: It may belong to another user than root and that of this process: the
+            daemon's is not known here.
 
     Raises:
         OperationError: `tokens`: it cannot be read, others may write it, or it is not such a file.
     """
     try:
-        data = _read(path)
+        data = _read(path, of_any_user=of_any_user)
     except FileNotFoundError:
         return Tokens()
     except OSError as exc:
@@ -168,7 +173,7 @@ def read_tokens(path: Path) -> Tokens:
         raise refused(path, f"it is no JSON ({exc})", "make tokens by `lecombus token`") from None
 
 
-def _read(path: Path) -> bytes:
+def _read(path: Path, *, of_any_user: bool) -> bytes:
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     with os.fdopen(descriptor, "rb") as file:
         found = os.fstat(descriptor)
@@ -177,7 +182,7 @@ def _read(path: Path) -> bytes:
         if found.st_mode & 0o022:
             mode = f"its mode is {stat.S_IMODE(found.st_mode):04o}"
             raise refused(path, f"others may write it: {mode}", f"chmod 0640 {path}")
-        if found.st_uid not in (0, os.geteuid()):
+        if not of_any_user and found.st_uid not in (0, os.geteuid()):
             what = f"it belongs to user {found.st_uid}"
             raise refused(path, what, f"give it to root or to the daemon's user: chown root {path}")
         data = file.read(LARGEST + 1)
