@@ -161,6 +161,23 @@ async def test_a_lease_of_other_drives_is_neither_seen_nor_ended(line: Line) -> 
     assert [lease.counter for lease in line.ops.leases.held()] == [1]
 
 
+async def test_a_take_over_of_a_lease_says_nothing_of_drives_that_the_token_is_not_for(
+    line: Line,
+) -> None:
+    path = "/v1/leases/{lease}"
+    both = {"targets": ["feeder", "belt"], "time": "1s", "counter": 1}
+    await ask(line.app, "PUT", path, both)
+    with acting(granted(Scope, ["belt"])):
+        taking = {**both, "targets": ["belt"], "take_over": PLACES["lease"]}
+        answer = await ask(line.app, "PUT", path, taking, lease="other")
+    assert (answer.status_code, answer.json()["type"]) == (
+        403,
+        "urn:lecombus:problem:not-permitted",
+    )
+    assert "feeder" not in answer.text
+    assert [lease.name for lease in line.ops.leases.held()] == [PLACES["lease"]]
+
+
 async def test_lists_show_the_drives_of_the_token_only(line: Line) -> None:
     async def seen() -> tuple[list[str], list[str], int]:
         drives = (await ask(line.app, "GET", "/v1/drives")).json()["drives"]

@@ -85,6 +85,8 @@ class LeaseRoutes:
         return json_response(self._leases.lease_json(self._take(name, body), token=True))
 
     def _take(self, name: str, body: LeaseBody) -> HeldLease:
+        if body.take_over:
+            self._check_reach(body.take_over)
         drives: list[str] = []
         for target in body.targets or ():
             require_target(target, self._ops)
