@@ -194,6 +194,26 @@ def test_a_journal_that_cannot_be_opened_is_tried_again(tmp_path: Path) -> None:
     with_journal(path, scenario)
 
 
+def test_the_count_of_rows_never_falls_also_when_the_file_is_removed(tmp_path: Path) -> None:
+    path = tmp_path / "j"
+
+    async def scenario(journal: Journal) -> None:
+        for number in range(20):
+            journal.record("trip", "a", {"number": str(number)})
+        await until(lambda: journal.head.number == 20)
+        assert journal.figures().rows == 20
+        path.unlink()
+        for name in ("j-wal", "j-shm"):
+            (tmp_path / name).unlink(missing_ok=True)
+        journal.record("trip-ended", "a")
+        await until(lambda: journal.trouble)
+        await until(lambda: not journal.trouble and journal.head.number >= 3)
+        assert journal.head.number < 20
+        assert journal.figures().rows == 20 + journal.head.number
+
+    with_journal(path, scenario)
+
+
 def test_a_list_that_grows_too_long_loses_rows_and_counts_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

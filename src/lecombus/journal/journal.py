@@ -63,7 +63,7 @@ class JournalFigures:
 
     Args:
         size_bytes: Of the file and its WAL.
-        rows: The number of the newest row.
+        rows: Rows written since the start, also into a file that was removed since.
         works: Everything can be written.
         failures: How often it began to fail.
         missed: Rows that were lost because it failed for long.
@@ -321,7 +321,7 @@ class Journal:
     def figures(self) -> JournalFigures:
         """Return what the metrics show."""
         return JournalFigures(
-            self._size, self.head.number, not self.trouble, self._failures, self._missed
+            self._size, self._file.rows, not self.trouble, self._failures, self._missed
         )
 
     # ---- running -----------------------------------------------------------------------------

@@ -99,6 +99,7 @@ class JournalFile:
 
     Attributes:
         head: The newest row.
+        rows: How many rows were written since lecombus started, also into files of before.
         trouble: What was found wrong when it was opened, and was dealt with.
         kept: The copy of the file of an older version that was opened; empty: it was not.
     """
@@ -118,6 +119,7 @@ class JournalFile:
         self._has_reserve = False
         self._frames = 0
         self.head = Head()
+        self.rows = 0
         self.trouble = ""
         self.kept = ""
 
@@ -366,6 +368,7 @@ class JournalFile:
             if (settled := self._settles()) is not None:
                 keep(db, Fact(SETTLED, str(settled)))
         self.head, self._settled = head, self._settled if settled is None else settled
+        self.rows += len(rows)
         for row, its in numbers.items():
             row.number, row.file = its.number, self._files
             if row.outcome == ASKED:

@@ -261,7 +261,7 @@ class JournalGauges:
         self._line = f'line="{escape(line)}"'
         self._up = gauge("journal_up", "1 while the journal can be written.")
         self._size = gauge("journal_size_bytes", "Size of the journal's file and its log.")
-        self._rows = counter("journal_rows", "Number of the journal's newest row.")
+        self._rows = counter("journal_rows", "Rows written to the journal, since the start.")
         self._failures = counter(
             "journal_failures", "How often the journal began to fail, since the start."
         )
