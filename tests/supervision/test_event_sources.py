@@ -276,6 +276,28 @@ def test_a_lease_is_published_to_those_who_follow_its_drives() -> None:
     reading(test)
 
 
+@pytest.mark.parametrize("uid", [None, 1000])
+def test_an_event_of_a_lease_says_by_whom_as_a_write_does(uid: int | None) -> None:
+    actor = Actor("socket", uid, client="plc", token="hall", subject="CN=plc")
+
+    async def test(plant: Plant, events: Reading) -> None:
+        leases = plant.site.operations.leases
+        leases.followers = (plant.site.supervision.event_sources.lease_changed,)
+        ACTOR.set(actor)
+        lease = leases.take("ui", ["a"], ["a"], 1.0, 1)
+        leases.tell("unlatched", ("a",), actor.fields())
+        leases.release("ui", lease.token)
+        leases.tell("hold", ("a",), {"lease": "ui"})
+        *by_client, hold = events.new("lease")
+        assert [one["what"] for one in by_client] == ["taken", "unlatched", "released"]
+        for one in by_client:
+            assert one["by"] == actor.fields()
+            assert not actor.fields().keys() & one.keys()
+        assert "by" not in hold
+
+    reading(test)
+
+
 def test_no_password_is_published(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(OperationContext, "is_secret", lambda context, drive, code: code == TIME)
     monkeypatch.setattr(EventSources, "_is_secret", lambda sources, drive, code: code == TIME)

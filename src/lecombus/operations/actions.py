@@ -107,6 +107,9 @@ class Actor:
         return found
 
 
+ACTOR_FIELDS: Final = frozenset({"who", "uid", "pid", "process", "token", "subject", "client"})
+"""What `Actor.fields` may hold."""
+
 ACTOR: Final[ContextVar[Actor]] = ContextVar("ACTOR", default=Actor(grant=EVERYTHING))  # noqa: B039 - never changed
 
 

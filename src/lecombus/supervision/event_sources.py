@@ -22,7 +22,7 @@ from lecombus.drive_state.store import DriveChanged, Store, ValueChanged
 from lecombus.drive_state.store import Event as StoreEvent
 from lecombus.errors import OperationError
 from lecombus.event_stream import EventStream
-from lecombus.operations.actions import LONG_CHARS, Act, Actions, clean
+from lecombus.operations.actions import ACTOR_FIELDS, LONG_CHARS, Act, Actions, clean
 from lecombus.parameters import Code, Json
 
 __all__ = ["HEARTBEAT_S", "EventSources"]
@@ -135,7 +135,9 @@ class EventSources:
         """Publish what became of a lease (`LeaseFollower`)."""
         if self._stream.is_recording:
             data: dict[str, Json] = {"what": what, "drives": list(drives)}
-            data |= {key: text for key, text in fields.items() if text}
+            data |= {key: text for key, text in fields.items() if text and key not in ACTOR_FIELDS}
+            if by := {key: text for key, text in fields.items() if key in ACTOR_FIELDS}:
+                data["by"] = {**by}
             self._publish("lease", "", data, drives)
 
     # -- the store ----------------------------------------------------------------------------
