@@ -37,7 +37,7 @@ ROWS = [
     row(4, "stop", "asked", drive="all", fields={"action": "inhibit", "who": "lecombus"}),
     row(5, "trip", drive="fee\x1b[31mder", fields={"fault": "trip OH (50)"}),
 ]
-LAST = "GET /v1/journal?last=true&limit=100"
+LAST = "GET /v1/journal?last=true&limit=200"
 
 
 def page(
@@ -76,6 +76,44 @@ def test_json_is_every_row_as_it_came(run: Run, daemon: DaemonStub) -> None:
     assert [json.loads(line) for line in ran.out.splitlines()] == ROWS
 
 
+def operations(first: int, last: int) -> list[dict[str, Any]]:
+    """Operations, each with a row that asks and a row that ends it, by the number of the latter."""
+    return [
+        row(number - 1 + at, "write", outcome, ended=not at, asked=number - 1 if at else None,
+            time="2026-11-23T03:07:00.250Z")
+        for number in range(first, last + 1, 2)
+        for at, outcome in ((0, "asked"), (1, "done"))
+    ]  # fmt: skip
+
+
+def test_last_counts_the_lines_that_are_printed(run: Run, daemon: DaemonStub) -> None:
+    daemon.answers["GET /v1/journal?last=true&limit=10"] = page(operations(92, 100))
+    assert len(run("journal", "--last", "5").out.splitlines()) == 5
+    plain = [row(number, "trip") for number in range(11, 21)]
+    daemon.answers["GET /v1/journal?last=true&limit=10"] = page(plain)
+    assert [line[17:19] for line in run("journal", "--last", "5").out.splitlines()] == [
+        "16", "17", "18", "19", "20"
+    ]  # fmt: skip
+    daemon.answers["GET /v1/journal?last=true&limit=10"] = page(operations(2, 4))
+    assert len(run("journal", "--last", "5").out.splitlines()) == 2
+
+
+def test_more_lines_than_one_page_holds_are_asked_for_in_several(
+    run: Run, daemon: DaemonStub
+) -> None:
+    daemon.answers["GET /v1/journal?last=true&limit=500"] = page(operations(602, 1100))
+    daemon.answers["GET /v1/journal?after=100&limit=500"] = page(operations(102, 600))
+    ran = run("journal", "--last", "300", "--csv")
+    numbers = [int(one["number"]) for one in csv.DictReader(io.StringIO(ran.out))]
+    assert numbers == list(range(502, 1101, 2))
+
+
+def test_a_wrong_unit_is_said_with_the_right_one(run: Run) -> None:
+    ran = run("journal", "--since", "2m")
+    assert ran.status == 2
+    assert "write min for minutes" in ran.err
+
+
 def test_csv_has_the_fields_in_columns_and_no_formula(run: Run, daemon: DaemonStub) -> None:
     daemon.answers[LAST] = page(ROWS)
     read = list(csv.DictReader(io.StringIO(run("journal", "--csv").out)))
@@ -103,7 +141,7 @@ def test_follow_asks_behind_the_newest_row(
             raise KeyboardInterrupt
 
     monkeypatch.setattr("lecombus.cli.journal.time.sleep", sleep)
-    daemon.answers["GET /v1/journal?last=true&limit=1"] = page(ROWS[2:3], head="3:" + "0" * 64)
+    daemon.answers["GET /v1/journal?last=true&limit=2"] = page(ROWS[1:3], head="3:" + "0" * 64)
     daemon.answers["GET /v1/journal?after=3&limit=500"] = page(ROWS[3:])
     daemon.answers["GET /v1/journal?after=5&limit=500"] = page([])
     ran = run("journal", "--follow", "--last", "1")

@@ -36,6 +36,7 @@ FORMULA: Final = ("=", "@")
 
 ASKED: Final = "asked"
 PAGE: Final = 500
+LOOK_ROWS: Final = 20_000
 FOLLOW_S: Final = 1.0
 
 
@@ -43,10 +44,12 @@ def _time(word: str) -> str:
     """Read a local date and time, or how long ago, as RFC 3339."""
     try:
         when = datetime.now(UTC) - timedelta(seconds=parse_duration(word))
-    except DurationError:
+    except DurationError as exc:
         try:
             when = datetime.fromisoformat(word).astimezone(UTC)
         except ValueError:
+            if "unknown unit" in exc.what:
+                raise click.BadParameter(f"{word} {exc.what}: {exc.right}") from None
             right = 'write a date and time such as "2026-11-23 06:00", or how long ago, such as 8h'
             raise click.BadParameter(f"{word} is no time: {right}") from None
     return when.isoformat(timespec="milliseconds")
@@ -54,7 +57,9 @@ def _time(word: str) -> str:
 
 @click.group("journal", invoke_without_command=True)
 @click.option("--since", type=Word("time", _time), help="From a local time on, or from 8h ago on.")
-@click.option("--last", type=click.IntRange(1, PAGE), help="So many of the newest rows.")
+@click.option(
+    "--last", type=click.IntRange(1, PAGE), help="So many of the newest lines; with --json rows."
+)
 @click.option("--drive", default="", help="Only the rows of a drive and its groups, or of a group.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print CSV.")
 @click.option("--follow", is_flag=True, help="Print new rows as they come, until Ctrl-C.")
@@ -71,7 +76,7 @@ def journal_command(
 ) -> int:
     """Show who wrote what to which drive and how that ended, stops, trips, losses and starts.
 
-    Without --since or --last: the newest 100 rows. What is under way is shown as `asked`, and once
+    Without --since or --last: the newest 100 lines. What is under way is shown as `asked`, and once
     it has ended by its end alone; with --json both rows are printed, one JSON object a line.
     In a pipe: time, what, drive, outcome and details, separated by tabs.
     """
@@ -116,7 +121,7 @@ def _rows(
     """Yield rows in their order; with `follow` new ones without end."""
     of = {"drive": drive} if drive else {}
     if since is None:
-        page = ask(daemon, "/v1/journal", last="true", limit=str(last), **of).data
+        page = _newest(daemon, last, of)
     else:
         page = ask(daemon, "/v1/journal", since=since, limit=str(PAGE), **of).data
     while True:
@@ -129,6 +134,27 @@ def _rows(
             time.sleep(FOLLOW_S)
         more = {"since": since} if since is not None and page["next"] is not None else {}
         page = ask(daemon, "/v1/journal", after=str(behind), limit=str(PAGE), **more, **of).data
+
+
+def _newest(daemon: DaemonOptions, last: int, of: Mapping[str, str]) -> Document:
+    """Return a page of the newest rows: as many as are wanted, and are shown.
+
+    Of an operation one of two rows is shown at least, so twice as many are always enough; those
+    that one page has no room for are looked for among the newest `LOOK_ROWS`.
+    """
+    limit = last if daemon.as_json else min(PAGE, 2 * last)
+    page = ask(daemon, "/v1/journal", last="true", limit=str(limit), **of).data
+    if daemon.as_json:
+        return page
+    rows = page["rows"]
+    first = rows[0]["number"] if len(rows) == PAGE else 0
+    least = max(0, first - LOOK_ROWS)
+    while len(shown := list(_ends(rows))) < last and first > least + 1:
+        behind = max(least, first - 1 - PAGE)
+        found = ask(daemon, "/v1/journal", after=str(behind), limit=str(PAGE), **of).data["rows"]
+        rows = [*(row for row in found if row["number"] < first), *rows]
+        first = behind + 1
+    return {**page, "rows": shown[-last:]}
 
 
 def _ends(rows: Iterable[Document]) -> Iterator[Document]:
