@@ -9,6 +9,7 @@ the drives what `on_lapse` of the roster says.
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Iterable
 
@@ -75,12 +76,22 @@ async def ramp_together(
                 await stop_all(drives)
 
 
-async def main() -> None:
-    """Read the command line."""
-    speed_hz, *names = sys.argv[1:]
+async def main(names: list[str], speed_hz: float) -> None:
+    """Ramp the drives of the line that the environment names."""
     async with connect() as line:
-        await ramp_together(line, names, float(speed_hz))
+        await ramp_together(line, names, speed_hz)
+
+
+def words() -> tuple[list[str], float]:
+    """Read the command line; ends the program where it is wrong."""
+    try:
+        speed_hz = float(sys.argv[1])
+    except (IndexError, ValueError):
+        speed_hz = math.nan
+    if not 0 < speed_hz < math.inf or not sys.argv[2:]:
+        sys.exit("usage: ramp_together.py HERTZ DRIVE ..; such as: ramp_together.py 30 feeder belt")
+    return sys.argv[2:], speed_hz
 
 
 if __name__ == "__main__":
-    anyio.run(main)
+    anyio.run(main, *words())

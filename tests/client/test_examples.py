@@ -135,6 +135,40 @@ def test_values_are_logged_and_old_ones_are_not(
     assert rows[3][3].startswith("belt C0050: ")
 
 
+def ended(name: str, *words: str, socket: Path) -> subprocess.CompletedProcess[str]:
+    """Run an example to its end."""
+    return subprocess.run(
+        [sys.executable, EXAMPLES / name, *words], capture_output=True, text=True, check=False,
+        env=environment(LECOMBUS_SOCKET=str(socket)), timeout=60,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("words", [
+    ["ramp_together.py", "fast", "feeder"], ["ramp_together.py", "30"], ["ramp_together.py"],
+    ["ramp_together.py", "nan", "feeder"], ["ramp_together.py", "-5", "feeder"],
+    ["log_to_csv.py"], ["log_to_csv.py", "x.csv"], ["log_to_csv.py", "x.csv", "feeder"],
+], ids=" ".join)  # fmt: skip
+def test_wrong_words_end_an_example_with_how_to_call_it(words: list[str]) -> None:
+    ran = ended(*words, socket=Path("/nowhere/lecombus.sock"))
+    assert (ran.returncode, ran.stdout) == (1, "")
+    assert ran.stderr.startswith(f"usage: {words[0]} ")
+    assert "Traceback" not in ran.stderr
+
+
+@pytest.mark.parametrize("before", ["time,belt C0050,not good\r\n1,2,\r\n", "something else\n"])
+def test_a_file_with_other_columns_stays_as_it_is(
+    running: tuple[Daemon, PtyEnd], tmp_path: Path, before: str
+) -> None:
+    file = tmp_path / "values.csv"
+    file.write_bytes(before.encode())
+    ran = ended("log_to_csv.py", str(file), "feeder/C0050", socket=running[0].socket)
+    assert ran.returncode == 1
+    assert ran.stderr.splitlines() == [
+        f"{file} has other columns than time, feeder C0050, not good; name another file"
+    ]
+    assert file.read_bytes() == before.encode()
+
+
 def test_a_trip_of_one_drive_stops_all(running: tuple[Daemon, PtyEnd]) -> None:
     daemon, end = running
     end.line["feeder"].clear_fault()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from datetime import datetime
 from decimal import Decimal
+from typing import Any
 
 import pytest
 
@@ -185,8 +186,10 @@ def test_what_is_no_code_is_refused(code: str) -> None:
         code_text(code)
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), Decimal("sNaN"), True])
-def test_what_is_no_value_is_refused(value: float) -> None:
+@pytest.mark.parametrize("value", [
+    float("nan"), float("inf"), Decimal("sNaN"), True, None, "", [1], {}, b"1",
+])  # fmt: skip
+def test_what_is_no_value_is_refused(value: Any) -> None:
     with pytest.raises(ValueError, match="is no value"):
         exact(value)
 
@@ -203,6 +206,13 @@ def test_what_is_no_value_is_refused(value: float) -> None:
 )
 def test_a_float_is_sent_as_it_is_written(value: float, sent: object) -> None:
     assert exact(value) == sent
+
+
+@pytest.mark.parametrize("time_s", [0, -1, 3601, float("nan"), float("inf")])
+async def test_a_lease_time_out_of_range_is_refused(line: Line, time_s: float) -> None:
+    with pytest.raises(ValueError, match=r"time_s is .*, 0\.001 to 3600 is possible"):
+        async with line.lease("winder", ["feeder"], time_s):
+            raise AssertionError
 
 
 @pytest.mark.parametrize("expires_s", [0, -1, 3601, float("nan")])

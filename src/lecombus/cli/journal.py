@@ -143,7 +143,7 @@ def _newest(daemon: DaemonOptions, last: int, of: Mapping[str, str]) -> Document
     that one page has no room for are looked for among the newest `LOOK_ROWS`.
     """
     limit = last if daemon.as_json else min(PAGE, 2 * last)
-    page = ask(daemon, "/v1/journal", last="true", limit=str(limit), **of).data
+    page: Document = ask(daemon, "/v1/journal", last="true", limit=str(limit), **of).data
     if daemon.as_json:
         return page
     rows = page["rows"]

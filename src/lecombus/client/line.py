@@ -35,6 +35,7 @@ from lecombus.client.documents import (
 )
 from lecombus.client.drive import Drive, Group, StopAction
 from lecombus.client.finding import find_daemon
+from lecombus.client.requests import lease_document
 from lecombus.client.results import GroupResult, Outcome, Result
 
 if TYPE_CHECKING:
@@ -220,14 +221,11 @@ class Line:
             ProblemError: It is not granted: `lease-held`, `no-such-drive` ..
             UnreachableError: The daemon cannot be reached.
             LeaseLostError: The lease was lost; the block was cancelled.
+            ValueError: The time is below 0.001 s or above an hour.
         """
         from lecombus.client.lease import hold  # it loads anyio
 
-        document: dict[str, Json] = {
-            "targets": list(targets), "time": f"{round(time_s * 1000)}ms", "counter": 1,
-        }  # fmt: skip
-        if take_over:
-            document["take_over"] = take_over
+        document = lease_document(targets, time_s, take_over)
         groups = await self.groups()
         path = f"/v1/leases/{quote(name, safe='')}"
         async with hold(self.connection, path, document, renews=renews) as lease:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from decimal import Decimal
 from typing import Final, Literal
 from urllib.parse import quote
@@ -10,7 +11,15 @@ from urllib.parse import quote
 from lecombus.client.connection import Json
 from lecombus.client.errors import ProblemError
 
-__all__ = ["ValueToWrite", "code_text", "exact", "expires_document", "path_of", "write_document"]
+__all__ = [
+    "ValueToWrite",
+    "code_text",
+    "exact",
+    "expires_document",
+    "lease_document",
+    "path_of",
+    "write_document",
+]
 
 ValueToWrite = int | float | Decimal | str
 """A number, or text as on the wire: `"35.4"`, `"H0008"`, `"O1A2B"`."""
@@ -77,9 +86,24 @@ def exact(value: ValueToWrite) -> int | Decimal | str:
         raise ValueError(f"{value} is no value of a drive, write 1 or 0")
     if isinstance(value, float):
         value = Decimal(repr(value))
-    if isinstance(value, Decimal) and not value.is_finite():
-        raise ValueError(f"{value} is no value of a drive")
+    is_number = isinstance(value, int) or (isinstance(value, Decimal) and value.is_finite())
+    if not is_number and not (isinstance(value, str) and value):
+        raise ValueError(f"{value!r} is no value of a drive, give a number or a text")
     return value
+
+
+def lease_document(targets: Iterable[str], time_s: float, take_over: str) -> dict[str, Json]:
+    """Return the body that asks for a lease.
+
+    Raises:
+        ValueError: The time is out of range.
+    """
+    if not 0.001 <= time_s <= LONGEST_EXPIRY_S:
+        raise ValueError(f"time_s is {time_s:g}, 0.001 to {LONGEST_EXPIRY_S:g} is possible")
+    document: dict[str, Json] = {
+        "targets": list(targets), "time": f"{round(time_s * 1000)}ms", "counter": 1,
+    }  # fmt: skip
+    return document | ({"take_over": take_over} if take_over else {})
 
 
 def expires_document(expires_s: float | None) -> dict[str, Json]:
