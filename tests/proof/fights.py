@@ -6,7 +6,8 @@ daemon: answers bound from both sides when a grant, a renewal or an enable count
 holds for all moments between is held against the line:
 
 * A setpoint or a control word that lets the drive run comes from the newest grant, before its end.
-* After a lapse a setpoint comes only behind an enable under a later grant.
+* After a lapse a setpoint comes only behind an enable under a later grant, or while the line's
+  last word to the drive is a stop.
 * A lapse is followed by a stop, once.
 * Numbers of grants grow; a write that is refused was not received, one that is done was.
 """
@@ -197,7 +198,11 @@ def judge(history: Sequence[Event], received: Sequence[LogEntry]) -> list[str]:
     return [
         *_judge_numbers(grants),
         *_judge_answers(history, received),
-        *(text for one in received for text in _judge_received(one, history, grants, ends_s)),
+        *(
+            text
+            for one in received
+            for text in _judge_received(one, history, grants, ends_s, stands=_stands(one, received))
+        ),
         *_judge_lapses(history, received, grants, ends_s),
     ]
 
@@ -238,6 +243,8 @@ def _judge_received(
     history: Sequence[Event],
     grants: Sequence[Event],
     ends_s: dict[int, float],
+    *,
+    stands: bool,
 ) -> list[str]:
     """Judge one write that the drive received: whose it is, and whether that one might."""
     said_s = entry.time_s - SAID_S
@@ -252,7 +259,7 @@ def _judge_received(
             found.append(f"{what} arrived under grant {mine}, and {newest} was given")
         elif said_s > ends_s.get(mine, 0.0):
             found.append(f"{what} arrived under grant {mine}, which had lapsed")
-        if not _is_enabled(mine, entry.time_s, history, grants, ends_s):
+        if not stands and not _is_enabled(mine, entry.time_s, history, grants, ends_s):
             found.append(f"{what} arrived under grant {mine}, and nothing enabled the drive since")
         return found
     if entry.code in CONTROL and _lets_run(entry):
@@ -265,6 +272,15 @@ def _judge_received(
             text = f"{entry.text} arrived in C{entry.code:04d} at {entry.time_s - 1000:.3f} s"
             return [f"{text}, and no holder was enabling the drive"]
     return []
+
+
+def _stands(entry: LogEntry, received: Sequence[LogEntry]) -> bool:
+    """Whether the last control that the drive received before a write stops it."""
+    before = [
+        one for one in received
+        if one.time_s < entry.time_s and one.code in CONTROL and one.accepted
+    ]  # fmt: skip
+    return bool(before) and not _lets_run(before[-1])
 
 
 def _lets_run(entry: LogEntry) -> bool:

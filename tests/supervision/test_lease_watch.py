@@ -269,6 +269,35 @@ def test_a_latched_drive_that_does_not_show_a_stop_of_the_line_takes_no_setpoint
     with_plant(test, roster("8200vector", "hold"))
 
 
+def test_many_setpoints_for_a_latched_drive_read_its_stops_once() -> None:
+    """Else a client that sends many keeps its own enable from the line."""
+
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as first:
+            first.alive = False
+        await anyio.sleep(25.0)
+        client = Client(plant, "next")
+        client.take()
+
+        async def write(value: int) -> None:
+            report = await client.do(client.ops.write("a", Code(46), value))
+            assert report.outcome in (Outcome.DONE, Outcome.SUPERSEDED)
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(client.renewing)
+            await plant.online("a", within_s=30.0)
+            before = len(list(plant.line["a"].log))
+            async with anyio.create_task_group() as writes:
+                for value in range(20):
+                    writes.start_soon(write, value)
+            asked = list(plant.line["a"].log)[before:]
+            assert 1 <= sum(one.kind == "read" and one.code == 1 for one in asked) <= 2
+            assert (await client.do(client.ops.verb("a", Verb.ENABLE))).outcome is Outcome.VERIFIED
+            client.alive = False
+
+    with_plant(test, roster("8200vector", "quick-stop"))
+
+
 @pytest.mark.parametrize(("code", "value"), [(40, "0"), (135, "H0008")])
 def test_a_plain_write_that_stops_a_latched_drive_waits_for_no_reading(
     code: int, value: str
