@@ -90,7 +90,8 @@ async def test_a_priority_that_clients_may_not_have_is_refused(
 ) -> None:
     answer = await client.get("/v1/drives/feeder/codes/C0050?fresh=true&priority=stop")
     assert (answer.status_code, line.ops.asked) == (422, [])
-    assert "'interactive' or 'background'" in answer.json()["detail"]
+    detail = answer.json()["detail"]
+    assert detail.startswith('priority takes "interactive", or "background" for long work')
 
 
 async def test_a_stored_read_never_asks_the_line(client: httpx2.AsyncClient, line: Line) -> None:
