@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
 import re
 import subprocess
 import sys
@@ -140,6 +141,7 @@ def _quoted(word: bytes) -> str:
 
 def fuzz(name: str, options: list[str]) -> int:
     """Run in the child: atheris looks at every branch of lecombus while it feeds it."""
+    logging.disable(logging.CRITICAL)
     import atheris
 
     with atheris.instrument_imports(include=["lecombus"], enable_loader_override=False):

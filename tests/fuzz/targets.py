@@ -11,7 +11,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import logging
 import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -449,7 +448,6 @@ CALLS: Final = (
 
 @cache
 def _served() -> tuple[asyncio.AbstractEventLoop, Line]:
-    logging.disable(logging.CRITICAL)
     return asyncio.new_event_loop(), make_line()
 
 
