@@ -105,20 +105,24 @@ class Permissions:
             ) from exc
         if needs_lease(station.family, code, wire):
             as_asked = use or use_of(station.family, code, wire, restoring=restoring)
-            try:
-                self.leases.check(drive, as_asked)
-            except OperationError as exc:
-                if not asks_to_stop(station.family, code, wire):
-                    raise
-                raise OperationError(
-                    str(exc),
-                    kind=exc.kind,
-                    drive=drive,
-                    code=str(code),
-                    remedy=f"stop it by POST /v1/stop or `lecombus stop {drive}`: that needs "
-                    "neither a lease nor an enable",
-                ) from exc
+            self._check_lease(drive, code, as_asked, stops=asks_to_stop(station.family, code, wire))
         return wire
+
+    def _check_lease(self, drive: str, code: Code, use: Use, *, stops: bool) -> None:
+        """Raise what the drive's lease refuses; for a word that stops, say how to stop it."""
+        try:
+            self.leases.check(drive, use)
+        except OperationError as exc:
+            if not stops:
+                raise
+            raise OperationError(
+                str(exc),
+                kind=exc.kind,
+                drive=drive,
+                code=str(code),
+                remedy=f"stop it by POST /v1/stop or `lecombus stop {drive}`: that needs "
+                "neither a lease nor an enable",
+            ) from exc
 
     def lease_check(
         self,
