@@ -136,6 +136,14 @@ def test_no_file_names_a_place_that_only_one_machine_has() -> None:
     assert found == []
 
 
+def test_what_must_not_live_in_a_room_stands_in_the_header_of_its_package() -> None:
+    packages = [path for path in (ROOT / "src").rglob("*.py") if path.name == "__init__.py"]
+    others = {*(ROOT / "src").rglob("*.py"), *(ROOT / "tests").rglob("*.py")} - {*packages}
+    words = " ".join(("must not", "live here"))
+    assert any(words in path.read_text() for path in packages)
+    assert [str(path) for path in others if words in path.read_text()] == []
+
+
 def test_modules_stay_readable() -> None:
     long = {
         str(path.relative_to(ROOT))

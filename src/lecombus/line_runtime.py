@@ -4,8 +4,6 @@ Nothing here talks to the world: the port's opener is handed in, so the same ass
 serial device, over TCP, and in tests over a simulated line on a virtual clock. `apply` takes a
 roster, at the start and at every reload: drives that stayed the same keep their values, their
 place in the cadence and their watchdog's feeding.
-
-What must not live here: signals, sockets, HTTP (`daemon`).
 """
 
 from __future__ import annotations

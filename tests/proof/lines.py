@@ -6,8 +6,6 @@ that such a drive costs. Four
 kinds of line show four sides of it: `quiet` (one client, one request at a time), `loaded` (clients
 that ask for more than the line can do), `absent` (drives go away and return) and `faulty` (noise,
 lost and late answers).
-
-Must not live here: what has to hold (`invariants`), running (`world`).
 """
 
 from __future__ import annotations

@@ -2,8 +2,6 @@
 
 The daemon's own assertion says so too; this counts without it, for every request that anybody
 makes (clients, audits, probes of faults), by standing between each and whoever waits for it.
-
-Must not live here: what an outcome means.
 """
 
 from __future__ import annotations

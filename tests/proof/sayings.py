@@ -7,8 +7,6 @@
 * After a stop of a drive nothing that was asked for before it is written to that drive.
 * What ends as expired or superseded was never said. What ends as done or verified was taken by the
   drive, as the drive itself remembers it, and the verified was read from it afterwards.
-
-Must not live here: pauses (`pauses`), what a stop itself does (`stops`).
 """
 
 from __future__ import annotations

@@ -8,8 +8,6 @@
 * No telegram lets a motor run, or lifts an inhibit, unless somebody asked for an enable.
 * A stop that is called verified has stopped its drive; where all answer, every stop is verified,
   and elsewhere none is given up at once.
-
-Must not live here: what passes on the wire (`wire`, `pauses`), what is said (`sayings`).
 """
 
 from __future__ import annotations

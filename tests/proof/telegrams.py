@@ -3,8 +3,6 @@
 Times are those of the wire, not those of the daemon: a telegram lasts from its first character to
 its last, an answer from the moment the drive begins to speak. Whoever judges a telegram gets it
 together with the one before it, once the daemon has reported it and its class is known.
-
-Must not live here: what has to hold.
 """
 
 from __future__ import annotations

@@ -10,8 +10,6 @@ the one that is open, and every report of the daemon must fit the exchange that 
   telegram, as the drive itself remembers it. Noise alone may turn an answer into that of a drive
   without the code (see `simulator.faults`), and a stop may be ended by the late acknowledgement
   of a write that stayed without its own: it is not believed, but proven by a read (`shown`).
-
-Must not live here: who should have spoken (`invariants`), how long anything may wait (`promises`).
 """
 
 from __future__ import annotations

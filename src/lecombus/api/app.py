@@ -4,9 +4,6 @@ Strategy: Starlette finds the route. Answers are plain responses, so that no req
 loop for long. A request that was begun on the line runs to its end also when its client goes away;
 a write that was not sent by then is withdrawn. Of the routes themselves only `/metrics`,
 `/healthz`, `/readyz` and `/openapi.json` stand here.
-
-What must not live here: sockets (`server`), checks of requests (`request_checks`), what errors
-become (`error_answers`).
 """
 
 from __future__ import annotations

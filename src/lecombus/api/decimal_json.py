@@ -5,8 +5,6 @@ out as `50.10`. Requests are read by the standard decoder with decimals. What JS
 (`NaN`), keys that stand twice and numbers of many digits are refused, all by the same error; so
 msgspec does not read, as it takes a key twice without a word. A stop is read by its texts alone:
 numbers are not looked at, keys may stand twice.
-
-What must not live here: what a document means.
 """
 
 from __future__ import annotations

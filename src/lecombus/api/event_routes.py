@@ -1,9 +1,6 @@
 """The route of the events: `GET /v1/events`, an answer without end.
 
 Its form is that of server-sent events (WHATWG HTML 9.2), as a browser's `EventSource` reads them.
-
-What must not live here: who gets which bytes when (`event_readers`), what is an event
-(`supervision.event_sources`).
 """
 
 from __future__ import annotations

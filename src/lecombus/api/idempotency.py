@@ -21,7 +21,6 @@ Where there is a journal, keys and responses are kept in it too: a key before it
 out, its response before that is sent. So a repeat is answered after a restart of lecombus as well;
 where the first request was under way at its end, by `unknown`. They are kept for `KEEP_S` seconds
 from the restart on: how long lecombus was away is not known for certain.
-What must not live here: what a request does.
 """
 
 from __future__ import annotations

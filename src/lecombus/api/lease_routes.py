@@ -3,8 +3,6 @@
 A renewal is short and waits for nothing, so that a full line does not end a lease. The token of a
 lease is in the answer to who takes it, in the body of a renewal, and in the header `Lecombus-Lease`
 of writes and of `DELETE`; no other answer and no log has it.
-
-What must not live here: what a lease is (`leases`), what its token permits (`operations`).
 """
 
 from __future__ import annotations

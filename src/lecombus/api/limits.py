@@ -12,9 +12,6 @@ is cut that has been open longest without a request under way; over TCP one with
 before others, and one of the address that has most of them. One over TCP never takes the place of
 one over the Unix socket, and one over the Unix socket always gets a place. Over TCP there are few
 places besides, for each may hold an answer that its client does not take.
-
-What must not live here: where bytes are counted (`connection`, `request_checks`), queues of the
-line (`schedule`), sockets (`server`).
 """
 
 from __future__ import annotations

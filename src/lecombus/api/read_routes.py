@@ -3,9 +3,6 @@
 Strategy: answers are written straight from the store, and long ones give way to other tasks
 between values, so that no request holds the event loop for long. The line is asked only by
 `?fresh=true` and for addresses that the roster does not have.
-
-What must not live here: what is written to drives (`write_routes`), how an answer looks
-(`answers`).
 """
 
 from __future__ import annotations

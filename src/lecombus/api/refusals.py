@@ -9,8 +9,6 @@ operation itself asks, at the same moment: nothing is refused here that would be
 What is refused only after the drive was read, such as an enable of a drive with a fault, is not
 known before. Beyond `MANY` of these within `WINDOW_S` the client is answered 429 for such requests
 until the window is over; setpoints and control words never are. Stops do not come here.
-
-What must not live here: what may be done (`operations`), rows (`journal`).
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""What queries and bodies of requests may say: strict models, as strict as a roster.
-
-What must not live here: how requests are read, and what is said of a wrong one (`request_checks`).
-"""
+"""What queries and bodies of requests may say: strict models, as strict as a roster."""
 
 from __future__ import annotations
 

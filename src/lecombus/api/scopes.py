@@ -9,9 +9,6 @@ everything over the Unix socket, reads over TCP without tokens, what the token s
 
 A call whose targets stand in its body asks `require_target` itself; its row says so.
 A read-only daemon (`api.read_only`) refuses writes at every door, and no stop.
-
-What must not live here: who a client is (`access`), which codes a roster lets be written
-(`operations.permissions`).
 """
 
 from __future__ import annotations

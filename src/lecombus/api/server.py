@@ -6,8 +6,6 @@ socket is open to its owner and group only, a stale file is removed only if no p
 it, and it is removed at the end; TCP binds to loopback only, unless there are tokens and TLS.
 Without tokens it answers reads. `access`, `token_access` and `limits` decide what is let
 through to the application, `connection` what a connection may do.
-
-What must not live here: paths and answers.
 """
 
 from __future__ import annotations

@@ -9,8 +9,6 @@ Taking a connection from the kernel costs a tenth of that. So some more are take
 the next that begins is one of the address with fewest, and beyond `TCP_UNBEGUN_LIMIT` one of the
 address with most is closed. A flood from one address thus keeps out no client at another. A client
 that is gone before its turn is closed without a handshake.
-
-What must not live here: the Unix socket, whose connections do not wait.
 """
 
 from __future__ import annotations

@@ -8,8 +8,6 @@ application, so a stop passes no other. It is refused only for what cannot be gu
 stop, no target, a body that is no JSON object. The rest is ignored, and the answer lists it in
 `ignored`: a query, unknown keys of the body, an `Idempotency-Key` that cannot be kept. A person who
 misspelt a key reads so after the drives have stopped. The body of such a verb is not read at all.
-
-What must not live here: what a write or a verb means (`operations`).
 """
 
 from __future__ import annotations

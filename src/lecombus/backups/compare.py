@@ -4,8 +4,6 @@ Strategy: numbers are compared as numbers (35 is 35.0, H0008 is 8), texts as tex
 only one side has, or that one side could not read, is a difference: it was not shown that it is
 equal. Left out, unless everything is asked for: process values, what belongs to one drive's place
 on the line (address, baud rate), and the identity of the drives; the last becomes a remark.
-
-What must not live here: reading files or drives, printing.
 """
 
 from __future__ import annotations

@@ -4,8 +4,6 @@ Strategy: the plan is made from the file, the family's rules and what the drive 
 is sent for it but reads. Codes that read the wanted value already are not written: drives wear
 their memory. What makes a restore wrong as a whole (another family, another drive, a value that
 cannot be one) stands in `blockers`, and then there is no restore.
-
-What must not live here: writing, asking the user.
 """
 
 from __future__ import annotations

@@ -4,8 +4,6 @@ The plan is that of the running roster; what was measured is the document of
 `metrics.rolling_window`. Compared are waits and line time by class, margins by watched drive, and
 gaps by cyclic code; everything beyond its promise is listed. Promises hold while drives answer and
 at most the exchange under way is lost, so the lost exchanges are shown beside them.
-
-What must not live here: how a promise is calculated (`plan`, `waits`), how it is shown (`cli`).
 """
 
 from __future__ import annotations

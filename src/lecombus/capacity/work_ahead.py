@@ -7,8 +7,6 @@
 * Cyclic reads. These and the feeds are counted in the dearer addressing form, because after a lost
   answer a late one could pass for one in the usual form, and with the millisecond that an
   adapter adds in its low latency mode.
-
-What must not live here: in which order all that is sent (`waits`).
 """
 
 from __future__ import annotations

@@ -4,8 +4,6 @@ Strategy: every refusal of the daemon becomes an answer with its stable word, so
 decides what may be asked again. A daemon that cannot be reached is such an answer too: it may be
 restarting. A few reads are requested together, in the background class, so that the line finds the
 next one waiting whenever it is idle; writes go one by one.
-
-What must not live here: what is read or written, and in which order.
 """
 
 from __future__ import annotations

@@ -6,8 +6,6 @@ connection broke after it may have been sent. The repeat says with `Lecombus-Ask
 was asked for first, so that the daemon gives the first answer, or carries it out if nothing of it
 was done and no stop came since. What is asked for after `repeat_for_s` is not asked for again: the
 answer is lost (`AnswerLostError`), and so the outcome is unknown.
-
-What must not live here: what documents mean (`documents`, `results`), which paths there are.
 """
 
 from __future__ import annotations

@@ -4,8 +4,6 @@ Strategy: `connect` gives a `Line`; `Line.drive` and `Line.group` give objects t
 than a name. Reads raise an error when there is no value to give. Writes, verbs and stops give a
 result with an outcome, also when lecombus or the drive refuses; they raise an error only when
 nothing can have been sent because the daemon is not there, or the request itself is wrong.
-
-What must not live here: HTTP (`connection`), what documents mean (`documents`, `results`).
 """
 
 from __future__ import annotations

@@ -4,8 +4,6 @@ A container reads all of its parts even if some are wrong, and returns what is u
 (`Fields`, `Item`), so that later checks can give places. A mistyped key is read as the key
 that was probably meant (the roster is refused anyway): its value is checked too, and there is no
 second mistake for the missing key.
-
-What must not live here: which keys there are (see `keys`).
 """
 
 from __future__ import annotations

@@ -3,8 +3,6 @@
 Reading (`loading`) and the JSON Schema are both made from `roster_table`; a key that is added
 here is read, refused, completed and shown in editors. What it does is then up to `checks` and
 `building`.
-
-What must not live here: rules between keys, defaults that depend on something.
 """
 
 from __future__ import annotations

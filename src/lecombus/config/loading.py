@@ -4,8 +4,6 @@ Steps, each in its own module: text to nodes (`yaml_nodes`), nodes to values (`k
 values (`checks`), values to models (`building`), whether the line can hold the watchdogs
 (`capacity.watchdog_feasibility`), and at a reload what only a restart changes (`changes`). Only a
 file that cannot be read and text that is no YAML end it early.
-
-What must not live here: any rule of the roster.
 """
 
 from __future__ import annotations

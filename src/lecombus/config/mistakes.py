@@ -8,8 +8,6 @@ the file; editors and terminals can jump to these.
 The words for a mistake are put together here too (`shown`, `nearest`, `one_of`), so that all have
 one form: the wrong text is quoted as in the file, shortened and on one line, and the remedy follows
 after a comma.
-
-What must not live here: knowledge of any key or value.
 """
 
 from __future__ import annotations

@@ -6,8 +6,7 @@ make of it, and refuses by raising `WrongText`. The same object holds the JSON S
 so the two cannot differ.
 
 Numbers, addresses, times and codes are in `number_types`; ports, sockets, files and hosts in
-`endpoint_types`. What must not live here: which key has which type (`keys`), rules between two
-values (`checks`).
+`endpoint_types`.
 """
 
 from __future__ import annotations

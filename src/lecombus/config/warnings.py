@@ -3,8 +3,6 @@
 Each rule is one function that yields sentences; a sentence says what will happen, then what could
 be done. Numbers come from the cost model that time-outs and the schedule use. What is true of
 single drives is yielded with the drive's name, and shown once for all drives of which it is true.
-
-What must not live here: rules that refuse (see `checks`).
 """
 
 from __future__ import annotations

@@ -13,8 +13,6 @@ passes a limit, before the nodes are read.
 A mistake in YAML itself ends the reading, since all that follows may be its consequence. Duplicate
 keys, tags and odd keys are noted and the reading goes on. Anchors, aliases and merge keys (`<<`)
 are supported, since full rosters repeat themselves.
-
-What must not live here: any key of the roster.
 """
 
 from __future__ import annotations

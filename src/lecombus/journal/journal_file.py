@@ -9,8 +9,7 @@ Room. `RESERVE_PAGES` of the file are always free, and so is as much of the WAL:
 uses these pages, so a full disk is noticed when the file cannot grow to replace them, before a row
 is lost. From then on only vital rows are written, into that reserve: stops, ends, outcomes.
 
-Everything here blocks for as long as the disk takes. What must not live here: threads, waiting, the
-event loop (`journal`).
+Everything here blocks for as long as the disk takes.
 """
 
 from __future__ import annotations

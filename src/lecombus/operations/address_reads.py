@@ -3,8 +3,6 @@
 Here silence is an answer, and "no such code" a good one: something is there. Nothing is repeated
 and nothing is kept: the scan decides what an answer means. There is deliberately no way to
 write to an address.
-
-What must not live here: which addresses are asked for what, and families (`scanning`).
 """
 
 from __future__ import annotations

@@ -2,8 +2,6 @@
 
 Here stand the sentences that are lecombus' own, in both languages; those about codes and faults
 come from the data files. `why` decides what is found.
-
-What must not live here: reading anything.
 """
 
 from __future__ import annotations

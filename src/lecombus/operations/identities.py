@@ -7,8 +7,6 @@ seen both accepts it, or the roster names what is there. The roster decides for 
 the record for all others. What cannot be read is no difference.
 
 Two devices of one kind with the same software say the same: they cannot be distinguished.
-
-What must not live here: reading (the audit does that), HTTP, files.
 Source: EDB2102EN 8.2 (C1810, C1811), CMVLC401A table 9 (C0200, C0201), 8.1.3 (C1099), 9.2 (P502).
 """
 

@@ -11,8 +11,6 @@ a line that its cyclic reads fill), is given up after a second, is not made whil
 twice at a time on one line, and all looks together take a tenth of the line at most; the same
 refusal within ten seconds is answered from memory. Without a look the causes are named by family
 and code alone. Source: EDB2102EN 7, 8.2, 8.3.6; CMVLC401A 10.2.
-
-What must not live here: HTTP, and the causes themselves.
 """
 
 from __future__ import annotations

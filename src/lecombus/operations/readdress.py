@@ -17,8 +17,6 @@ can still end well:
 
 A baud rate is not changed here: all drives of a line share it, and no daemon can feed those that
 are at another. `lecombus rebaud` changes it, without a daemon (`lecombus.fieldbus.lecom.rebaud`).
-
-What must not live here: HTTP, the roster's file.
 Source: EDB2102EN 5 (C0009, C0125 over LECOM), 6.2.2, 8.3.4; CMVLC401A 4.2 (P410).
 """
 

@@ -8,8 +8,6 @@ and code. Setpoints and control words are not stored and not limited.
 Every write that may have reached the memory counts, also one whose answer was lost and those of the
 supervisor. Codes that nothing describes are counted where the family stores what is written; they
 are not limited, because it is not known what they are.
-
-What must not live here: sending, files.
 Source: EDB2102EN 6.1.1 (82XX store every write), 6.1.3 (93XX store by C0003); CMVLC401A 4.2.
 """
 

@@ -7,8 +7,6 @@ itself knows (locks, a watchdog fed too late), then the fault memories. An enabl
 or taken back is remembered, with its cause, until one succeeds. A value that is not fresh
 is used and called stale; one that is not known proves nothing. With `fresh` the few codes that
 matter are read first, in the interactive class.
-
-What must not live here: HTTP, terminals, what a fault number or a bit means.
 """
 
 from __future__ import annotations

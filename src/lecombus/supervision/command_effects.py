@@ -11,8 +11,6 @@ Two things call for it:
 
 Of each kind one read is in the schedule at a time, for any number of drives: a read that a user
 waits for has at most one of these in front of it, and what `plan` promises holds.
-
-What must not live here: what a word means (`motion`), who goes first (`schedule`).
 """
 
 from __future__ import annotations

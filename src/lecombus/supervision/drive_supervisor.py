@@ -14,8 +14,6 @@ drives' watchdogs are already running. A multicast never counts as feeding.
 
 The supervisor's task cannot end silently: it lives in the daemon's root task group, and an error in
 it ends the daemon, which the service manager starts again.
-
-What must not live here: telegrams, time-outs, who goes first.
 """
 
 from __future__ import annotations

@@ -11,8 +11,6 @@ nothing changed, and asks for the few reads that a change calls for; their value
 same way. A word that shows a fault holds it until that word itself shows it gone: when another
 word shows that first, the one left over is read again soon. Source: EDB2102EN 8.2 (C0068,
 C0150, C0161..C0168); CMVLC401A table 9, 9.1.
-
-What must not live here: what a number means (`drives.faults`), who shows it (store, faces).
 """
 
 from __future__ import annotations

@@ -11,8 +11,6 @@ A drive is called online only after it has answered *and* been audited (`drive_s
 that failed twice or more in a row is audited again when it answers, because a short power failure
 looks like that and the 2102 module forgets its settings in one (EDB2102EN 6.3). An offline drive
 is parked in the schedule and only probed, so that it costs the others little.
-
-What must not live here: reading or writing anything; the schedule and the supervisor do that.
 """
 
 from __future__ import annotations

@@ -13,8 +13,6 @@ handed out once by the book and carried out by the drive's `on_lapse`:
 
 A drive that is latched and comes back, and every drive with a required lease after a start, is
 looked at when it is online: unless its words show it stopped, the same is done.
-
-What must not live here: who may control what (`leases`), how a stop is made (`operations`).
 Source: docs/adr/0079-what-a-lease-promises.md.
 """
 

@@ -6,8 +6,6 @@ all drives are silent then, or answers come in pieces. A wrong baud rate looks t
 Strategy: failures are counted. When the port was opened, when no drive answers, and now and then
 while exchanges fail, the daemon is asked to look who else has the port open, which takes too long
 for the event loop. What was found is logged once and stands as a remark until it is over.
-
-What must not live here: looking at processes, the words (`line.devices`).
 """
 
 from __future__ import annotations

@@ -11,8 +11,6 @@ In this order, each before the first write of the audit itself:
 3. *software*: the manual of the SMVector forbids writing to any software but its own.
 
 Each check that fails is a remark (`readings.WRITE_LOCKS`); stops pass all of them.
-
-What must not live here: what is accepted and recorded, when an audit is due.
 Source: EDB2102EN 8.2 (C0248, C0249), 8.3.1; CMVLC401A preface, 5.3.
 """
 

@@ -13,8 +13,6 @@ Rules, each so that nothing moves unasked:
 - A setpoint goes out when it differs from the one that the drive was given last, so that a PLC that
   writes in every cycle costs the line nothing. The newest one counts.
 - One PLC controls a drive at a time: by its address, until its lease has ended.
-
-What must not live here: registers and their places, telegrams of Modbus.
 """
 
 from __future__ import annotations

@@ -4,8 +4,6 @@ The line has the registers 0 to 99, a drive with address A those from 100 A to 1
 no drive moves when another one joins or leaves. A block has three parts: registers that can always
 be read (states, ages, outcomes), registers whose value must be fresh (otherwise the answer is an
 exception), and registers that are written. Function codes 3 and 4 read the same registers.
-
-What must not live here: values of drives.
 """
 
 from __future__ import annotations

@@ -5,8 +5,6 @@ exception. No register that must be fresh is answered with an old number. Except
 Application Protocol 1.1b3, 7: 02 for registers that are not there or half a number of 32 bits, 0A
 ("gateway path unavailable") while lecombus does not answer the bridge, 0B ("target device failed to
 respond") where the value of a drive was never read or is stale.
-
-What must not live here: connections, telegrams, writing.
 """
 
 from __future__ import annotations

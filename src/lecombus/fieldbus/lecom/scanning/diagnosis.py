@@ -1,7 +1,4 @@
-"""What to say of a line on which no drive was found.
-
-Must not live here: what is said of a drive that was found (`identifying`).
-"""
+"""What to say of a line on which no drive was found."""
 
 from __future__ import annotations
 

@@ -2,8 +2,6 @@
 
 The text is checked by the roster's own reader before anybody is given it. Everything a drive said
 of itself stands in comments; nothing it said becomes a setting but its watchdog, if that acts.
-
-Must not live here: writing files.
 """
 
 from __future__ import annotations
