@@ -18,6 +18,10 @@ __all__ = ["missing", "require"]
 _PACKAGES = {
     "mosquitto": "mosquitto",
     "mosquitto_passwd": "mosquitto",
+    "mosquitto_pub": "mosquitto-clients",
+    "mosquitto_rr": "mosquitto-clients",
+    "mosquitto_sub": "mosquitto-clients",
+    "node": "nodejs",
     "apt-get": "apt",
     "cp": "coreutils",
     "dpkg-deb": "dpkg",
