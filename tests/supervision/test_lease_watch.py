@@ -360,6 +360,27 @@ def test_who_controls_a_latched_drive_is_changed_only_to_the_line_and_while_it_i
     with_plant(test, roster("8200vector", more="also_writable: [C0001]"))
 
 
+def test_a_quick_stop_that_was_just_shown_does_not_hide_that_the_inhibit_was_not_read() -> None:
+    """The client has read what shows the quick stop; C0040 was read last long before."""
+
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as first:
+            first.alive = False
+        await anyio.sleep(10.0)
+        client = Client(plant, "next")
+        client.take()
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(client.renewing)
+            await client.ops.stop(StopAction.INHIBIT, "a")
+            await anyio.sleep(10.0)
+            for code in (1, 135):
+                await client.ops.read("a", Code(code))
+            assert await kind_of_refusal(client.do(client.ops.write("a", Code(1), 3))) == ""
+            client.alive = False
+
+    with_plant(test, roster("8200vector", more="also_writable: [C0001]"))
+
+
 def test_members_of_a_group_that_lapse_together_are_stopped_by_one_telegram() -> None:
     async def test(plant: Plant) -> None:
         async with controlled(plant, "abc") as client:

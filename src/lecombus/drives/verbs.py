@@ -288,7 +288,9 @@ def held_stops(known: Known, said: Callable[[Code], Value | None]) -> frozenset[
         if not reads:
             shown = _follows_control_word(known)
         else:
-            shows = [rule.proofs[code].holds(value) for code, value in reads.items() if value]
+            shows = [
+                rule.proofs[code].holds(value) for code, value in reads.items() if value is not None
+            ]
             shown = bool(shows) and all(shows)
         if shown:
             found.add(action)

@@ -45,9 +45,6 @@ __all__ = ["OperationContext"]
 SHOWN_WITHIN_S: Final = 2.0
 """So long before a write that depends on it a drive must have shown its stop, seconds."""
 
-LOOKED_S: Final = 1.0
-"""A stop that was shown so long ago is not read again, seconds."""
-
 MARK: Final = re.compile(r"(?P<run>[0-9a-f]{8})-(?P<drive>[a-z0-9_-]+)-[0-9]{1,15}")
 """A mark of stops, as `OperationContext.stop_mark` makes it."""
 
@@ -252,8 +249,6 @@ class OperationContext:
                 tasks.start_soon(self._see_stops, station)
 
     async def _see_stops(self, station: Station) -> None:
-        if self.held_stops(station.name, within_s=LOOKED_S):
-            return
         # A client that sends many setpoints must not keep its own enable from the line.
         if (under_way := self._looks.get(station.name)) is not None:
             await under_way.wait()
@@ -267,8 +262,8 @@ class OperationContext:
             del self._looks[station.name]
             looked.set()
 
-    def held_stops(self, drive: str, *, within_s: float = SHOWN_WITHIN_S) -> frozenset[StopAction]:
-        """Return the stops of the line that a drive has shown within a time, seconds.
+    def held_stops(self, drive: str) -> frozenset[StopAction]:
+        """Return the stops of the line that a drive has shown within `SHOWN_WITHIN_S`.
 
         None while a verb is under way that may let it run: what it has written may not be known
         yet.
@@ -281,7 +276,7 @@ class OperationContext:
             one = self.store.reading(drive, code)
             if one is None or one.value is None or self.store.is_outdated(drive, code):
                 continue
-            if one.quality is Quality.GOOD and (one.age_s or 0.0) <= within_s:
+            if one.quality is Quality.GOOD and (one.age_s or 0.0) <= SHOWN_WITHIN_S:
                 values[code] = one.value
         return held_stops(Known(drive, family, values), found.control_word.said)
 
