@@ -278,3 +278,28 @@ def test_a_silence_lasts_while_a_group_is_stopped_and_then_a_watchdog_time(
     assert not ward.health.is_silence_over(ward.drive), "it fed the drive"
     ward.now_s += watchdog_s
     assert ward.health.is_silence_over(ward.drive)
+
+
+def test_only_drives_that_are_spoken_to_say_whether_a_line_is_silent() -> None:
+    ward = Ward().online()
+    other = drive_of("b")
+    ward.schedule.add_drive("b")
+    ward.store.add_drive("b", 2, family("8200vector"))
+    ward.drives.put(other)
+    ward.health.silence(ward.drive, "so that its watchdog acts")
+    found = []
+    for state in (ONLINE, OFFLINE):  # of the one that is asked
+        other.health.state = state
+        found.append(ward.health.is_silent)
+    ward.health.silence(other, "so that its watchdog acts")
+    assert [*found, ward.health.is_silent] == [False, True, False]
+
+
+def test_a_line_that_was_silent_before_its_drives_were_silenced_stays_silent() -> None:
+    ward = Ward().online()
+    ward.exchange(*[MISSED] * 4)
+    found = [ward.health.is_silent]
+    ward.health.silence(ward.drive, "so that its watchdog acts")
+    found.append(ward.health.is_silent)
+    ward.exchange(GOOD)  # a stop of it
+    assert [*found, ward.health.is_silent] == [True, True, False]

@@ -168,12 +168,18 @@ class Permissions:
         # Without a line no drive answers: the worker says so when it is asked, and why.
         is_open = self._store.line().state is LineState.OPEN
         if is_open and state.state in (DriveState.OFFLINE, DriveState.STARTING):
+            remedy = "nothing was sent; a drive is written to once it answers and was audited"
+            if self._requests.drives.get(drive).health.silenced:
+                remedy = (
+                    "nothing was sent; it is spoken to again once a lease is held for it and its "
+                    "watchdog has had its time"
+                )
             raise OperationError(
                 f"{drive} is {state.state.value}: {state.reason}",
                 kind="offline" if state.state is DriveState.OFFLINE else "starting",
                 drive=drive,
                 code=named,
-                remedy="nothing was sent; a drive is written to once it answers and was audited",
+                remedy=remedy,
             )
         if state.write_lock is not None:
             raise OperationError(

@@ -126,9 +126,12 @@ class Health:
 
     @property
     def is_silent(self) -> bool:
-        """Whether all drives were tried and none answers."""
-        states = [drive.health.state for drive in self._drives]
-        return bool(states) and all(state is DriveState.OFFLINE for state in states)
+        """Whether drives were tried and none of them answers.
+
+        Drives that answered until they were silenced on purpose say nothing of the line.
+        """
+        tried = [one.health for one in self._drives if not one.health.silenced or one.health.misses]
+        return bool(tried) and all(health.state is DriveState.OFFLINE for health in tried)
 
     def line_changed(self, change: LineChange) -> None:
         """Start again with every drive: what happened while the line was away is not known."""
@@ -171,6 +174,8 @@ class Health:
         health = drive.health
         if health.silenced:  # a stop went out to it, or its last exchange ends
             health.silent_since_s = self._clock()
+            if kind is ResultKind.ANSWERED:
+                health.misses = 0
             return
         if kind is ResultKind.ANSWERED:
             if not health.heard:
