@@ -331,6 +331,50 @@ def test_a_plain_write_that_stops_a_latched_drive_waits_for_no_reading(
     with_plant(test, roster("8200vector", "hold"))
 
 
+SPEED_SETTINGS = [
+    (name, code)
+    for name, codes in {"8200vector": (11, 2011), "820x": (11,), "821x": (11, 127),
+                        "822x": (11, 127), "824x": (11, 127), "smvector": (1102, 1103)}.items()
+    for code in codes
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "code"), SPEED_SETTINGS)
+def test_what_a_setpoint_depends_on_changes_no_speed_of_a_latched_motor(
+    kind: str, code: int
+) -> None:
+    """It limits the setpoint, says what 100 % are, or selects another setpoint."""
+
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as first:
+            first.alive = False
+        await anyio.sleep(25.0)
+        client = Client(plant, "next")
+        client.take()
+
+        async def written(number: int) -> str:
+            value = 1 if number == 127 else 15
+            return await kind_of_refusal(client.do(client.ops.write("a", Code(number), value)))
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(client.renewing)
+            before = output(plant)
+            assert await written(code) == "latched"
+            if kind != "smvector":
+                assert await written(12) == ""  # a ramp: a setting that moves nothing
+            await anyio.sleep(20.0)
+            assert output(plant) == before > 0.0
+            await client.ops.stop(StopAction.INHIBIT, "a")
+            assert await written(code) == ""
+            await anyio.sleep(20.0)
+            assert standing(plant)
+            client.alive = False
+
+    more = "also_writable: [C0012]" if kind != "smvector" else "also_writable: []"
+    more = more.replace("[", f"[{Code(code)}, " if kind != "smvector" else f"[{Code(code)}")
+    with_plant(test, roster(kind, "hold", more=more))
+
+
 def test_who_controls_a_latched_drive_is_changed_only_to_the_line_and_while_it_is_inhibited() -> (
     None
 ):
@@ -514,6 +558,23 @@ def test_why_says_that_a_drive_is_silenced_on_purpose_and_that_a_lease_ends_it()
         assert "baud" not in "".join(one.remedy.en for one in report.findings)
 
     with_plant(test, roster(policy="silence"))
+
+
+def test_a_line_whose_drives_are_silenced_on_purpose_is_not_called_silent(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as first:
+            first.alive = False
+        await anyio.sleep(15.0)
+        assert not plant.site.store.line().remarks
+        with pytest.raises(OperationError, match="so that its watchdog acts") as caught:
+            await first.ops.write("a", Code(46), 5)
+        assert caught.value.kind == "offline"
+        assert "once a lease is held for it" in caught.value.remedy
+
+    with_plant(test, roster(policy="silence"))
+    assert "event=line-silent" not in caplog.text
 
 
 def test_a_silenced_drive_is_not_spoken_to_before_its_watchdog_had_its_time() -> None:

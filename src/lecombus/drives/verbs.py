@@ -44,6 +44,7 @@ from .verb_rules import (
 from .words import OperatingState, join_states
 
 __all__ = [
+    "acts_on_setpoints",
     "enable_objection",
     "enable_shown",
     "enable_steps",
@@ -308,13 +309,24 @@ def held_stop_codes(family: Family) -> tuple[Code, ...]:
 def takes_control(family: Family, code: Code, value: Value) -> bool:
     """Return whether a value of a setting is what the line needs to control the drive."""
     demands = family.verbs.demands if family.verbs is not None else ()
-    conditions = [
-        one.condition
-        for one in demands
-        for offset in family.set_offsets
-        if Code(one.condition.code.number + offset, one.condition.code.subcode) == code
-    ]
+    conditions = [one.condition for one in demands if code in _in_sets(family, one.condition.code)]
     return bool(conditions) and all(one.holds(value) for one in conditions)
+
+
+def acts_on_setpoints(family: Family, code: Code) -> bool:
+    """Return whether a setting limits setpoints, is their 100 %, or selects one of them.
+
+    A motor that runs changes its speed with it, at a setpoint that stays the same.
+    """
+    if family.verbs is None:
+        return False
+    least = (rule.least for rule in family.verbs.setpoints if rule.least is not None)
+    return any(code in _in_sets(family, one) for one in (*_speed_settings(family.verbs), *least))
+
+
+def _in_sets(family: Family, code: Code) -> list[Code]:
+    """Return a code and its like in the further parameter sets."""
+    return [Code(code.number + offset, code.subcode) for offset in family.set_offsets]
 
 
 def _follows_control_word(known: Known) -> bool:

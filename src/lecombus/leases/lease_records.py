@@ -25,7 +25,7 @@ class Use(StrEnum):
     SETTING = "setting"
     """A described parameter that is none of the others."""
     SETPOINT = "setpoint"
-    """A code that holds a speed setpoint and nothing else."""
+    """A code that holds a speed setpoint and nothing else, or a setting that acts on setpoints."""
     TAKE_CONTROL = "take-control"
     """A setting that says who controls the drive, with a value that gives control to the line."""
     MOTION = "motion"

@@ -18,7 +18,7 @@ from lecombus.drive_state.readings import DriveState, Quality
 from lecombus.drive_state.store import Store
 from lecombus.drives import StopAction, asks_to_stop, encode_for
 from lecombus.drives.verb_facts import Known
-from lecombus.drives.verbs import held_stop_codes, held_stops
+from lecombus.drives.verbs import acts_on_setpoints, held_stop_codes, held_stops
 from lecombus.errors import (
     CodeValueError,
     ExchangeError,
@@ -230,7 +230,8 @@ class OperationContext:
 
         Args:
             target: The drive or group that is to be written to.
-            code: What is to be written; only a setpoint or a setting of control depends on a stop.
+            code: What is to be written; only a setpoint, a setting that acts on setpoints, or one
+                of control depends on a stop.
             value: The value; a write that stops drives waits for nothing. None: no such write.
         """
         group = self.groups.get(target)
@@ -239,7 +240,7 @@ class OperationContext:
             for name in ((target,) if group is None else group.members)
             if (drive := self.requests.drives.find(name)) is not None
             and (info := drive.family.info(code)) is not None
-            and (info.motion or info.control_source)
+            and (info.motion or info.control_source or acts_on_setpoints(drive.family, code))
             and self.leases.needs_stop_shown(name)
         ]
         if not found or (value is not None and self.means_stop(target, code, value)):

@@ -20,7 +20,7 @@ from lecombus.config import DriveEntry
 from lecombus.drive_state.readings import seconds
 from lecombus.drives import Family, StopAction, family, knows_stop
 from lecombus.drives.stops import stops_every_drive
-from lecombus.drives.verbs import takes_control
+from lecombus.drives.verbs import acts_on_setpoints, takes_control
 from lecombus.errors import OperationError
 from lecombus.leases import NEEDED_STOPS, HeldLease, LeaseBook, LeaseTerms, Use
 from lecombus.operations.actions import ACTOR
@@ -238,8 +238,10 @@ def use_of(of: Family, code: Code, wire: Value, *, restoring: bool = False) -> U
     info = of.info(code)
     if info is not None and info.control_source:
         return Use.TAKE_CONTROL if takes_control(of, code, wire) else Use.MOTION
-    if restoring or (info is not None and not info.motion):
+    if restoring:
         return Use.SETTING
+    if info is not None and not info.motion:
+        return Use.SETPOINT if acts_on_setpoints(of, code) else Use.SETTING
     setpoints = of.verbs.setpoints if of.verbs is not None else ()
     return Use.SETPOINT if any(rule.code == code for rule in setpoints) else Use.MOTION
 
