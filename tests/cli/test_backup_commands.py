@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -36,8 +37,9 @@ def problem(kind: str, status: int, detail: str) -> tuple[int, str]:
 class Drive:
     """Answers for one drive, whose codes a test sets."""
 
-    def __init__(self, stub: DaemonStub, kind: str = "8200vector") -> None:
+    def __init__(self, stub: DaemonStub, kind: str = "8200vector", name: str = "feeder") -> None:
         self.stub = stub
+        self.path = f"/v1/drives/{name}"
         self.kind = family(kind)
         self.set_line("open")
         self.state("online")
@@ -51,22 +53,22 @@ class Drive:
 
     def state(self, state: str) -> None:
         document = {"address": 11, "family": self.kind.name, "state": state, "reason": None}
-        self.stub.answers[f"GET {DRIVE}"] = (200, json.dumps(document))
+        self.stub.answers[f"GET {self.path}"] = (200, json.dumps(document))
 
     def rights(self, reason: str | None = None) -> None:
         document = {
             "permitted": reason is None, "owned": [], "reason": reason, "remedy": "do something",
         }  # fmt: skip
-        self.stub.answers[f"GET {DRIVE}/restore"] = (200, json.dumps(document))
+        self.stub.answers[f"GET {self.path}/restore"] = (200, json.dumps(document))
 
     def code(self, code: str, raw: str | None) -> None:
         answer = (200, json.dumps({"raw": raw}))
         if raw is None:
             answer = problem("no-such-code", 404, f"there is no {code}")
-        self.stub.answers[f"GET {DRIVE}/codes/{code}{READ}"] = answer
+        self.stub.answers[f"GET {self.path}/codes/{code}{READ}"] = answer
 
     def takes(self, code: str, outcome: str = "verified") -> None:
-        self.stub.answers[f"PUT {DRIVE}/codes/{code}"] = (200, json.dumps({"outcome": outcome}))
+        self.stub.answers[f"PUT {self.path}/codes/{code}"] = (200, json.dumps({"outcome": outcome}))
 
 
 @pytest.fixture
@@ -170,6 +172,132 @@ def test_a_drive_that_is_not_there_is_said_before_anything_is_read(run: Run, dri
     drive.stub.answers[f"GET {DRIVE}"] = problem("no-such-drive", 404, "there is no drive feeder")
     ran = run("backup", "feeder")
     assert (ran.status, "there is no drive feeder" in ran.err) == (2, True)
+
+
+@pytest.fixture
+def two(daemon: DaemonStub) -> dict[str, Drive]:
+    """A line of two drives."""
+    names = ("feeder", "belt")
+    listed = {"drives": [{"drive": name} for name in names]}
+    daemon.answers["GET /v1/drives"] = (200, json.dumps(listed))
+    return {name: Drive(daemon, name=name) for name in names}
+
+
+def drives_in(folder: Path) -> list[str]:
+    """Whose files are there, by the form of their names."""
+    names = [path.name for path in folder.iterdir()]
+    found = [re.fullmatch(r"(\w+)\.\d{4}-\d\d-\d\dT\d{6}Z\.yaml", name) for name in names]
+    assert None not in found, names
+    return sorted(one[1] for one in found if one is not None)
+
+
+def test_all_drives_go_into_a_folder_a_file_each(
+    run: Run, two: dict[str, Drive], tmp_path: Path
+) -> None:
+    ran = run("backup", "--all", "-o", str(tmp_path))
+    assert (ran.status, ran.out) == (0, "")
+    assert drives_in(tmp_path) == ["belt", "feeder"]
+    for path, line in zip(sorted(tmp_path.iterdir()), reversed(ran.err.splitlines()), strict=True):
+        assert line.endswith(f"codes read, written to {path}")
+        assert path.name.partition(".")[2][:13] in path.read_text().partition("identity:")[0]
+    (one, other) = sorted(map(str, tmp_path.iterdir()))
+    assert run("diff", one, other).status == 0
+    document = json.loads(run("backup", "--all", "-o", str(tmp_path), "--json").out)
+    assert [(one["drive"], one["complete"]) for one in document["drives"]] == [
+        ("feeder", True), ("belt", True),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("how", ["silent", "offline", "gone"])
+def test_a_drive_that_cannot_be_read_is_named_and_the_others_are_backed_up(
+    run: Run, two: dict[str, Drive], tmp_path: Path, how: str
+) -> None:
+    feeder = two["feeder"]
+    if how == "silent":
+        silent = problem("no-answer", 504, "no answer")
+        feeder.stub.answers[f"GET {feeder.path}/codes/C0011{READ}"] = silent
+    elif how == "offline":
+        feeder.state("offline")
+    else:
+        gone = problem("no-such-drive", 404, "there is no such drive")
+        feeder.stub.answers[f"GET {feeder.path}"] = gone
+    ran = run("backup", "--all", "-o", str(tmp_path), "--wait", "0s")
+    assert (ran.status, drives_in(tmp_path)) == (1, ["belt"])
+    assert "feeder" in ran.err.splitlines()[-1]
+    ran = run("backup", "--all", "-o", str(tmp_path), "--wait", "0s", "--json")
+    assert [one["drive"] for one in json.loads(ran.out)["drives"]] == ["belt"]
+    told = json.loads(ran.err)
+    assert (told["status"], told["drive"]) == (1, "feeder")
+
+
+def test_what_is_incomplete_is_written_if_wanted_and_takes_the_place_of_nothing(
+    run: Run, two: dict[str, Drive], tmp_path: Path
+) -> None:
+    whole = tmp_path / "feeder.2020-01-01T000000Z.yaml"
+    whole.write_text("from another day")
+    feeder = two["feeder"]
+    feeder.stub.answers[f"GET {feeder.path}/codes/C0011{READ}"] = problem("no-answer", 504, "no")
+    ran = run("backup", "--all", "-o", str(tmp_path), "--partial", "--keep", "1")
+    assert (ran.status, drives_in(tmp_path)) == (1, ["belt", "feeder", "feeder"])
+    assert "1 not readable" in ran.err
+    assert whole.exists()
+
+
+def test_a_disk_that_takes_nothing_is_said_of_each_drive(
+    run: Run, two: dict[str, Drive], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, text: str) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    monkeypatch.setattr("lecombus.cli.backup.save", full)
+    ran = run("backup", "--all", "-o", str(tmp_path))
+    assert (ran.status, list(tmp_path.iterdir())) == (1, [])
+    assert [line.partition(":")[0] for line in ran.err.splitlines()] == ["feeder", "belt"]
+    assert ran.err.count("No space left on device") == 2
+
+
+def test_the_oldest_files_of_a_drive_are_deleted_and_nothing_else(
+    run: Run, two: dict[str, Drive], tmp_path: Path
+) -> None:
+    days = ("2020-01-01T000000Z", "2020-01-02T000000Z", "2098-01-01T000000Z", "2099-01-01T000000Z")
+    for name in ("feeder", "left-the-roster"):
+        for day in days:
+            (tmp_path / f"{name}.{day}.yaml").write_text("old")
+    mine = ("feeder.yaml", "feeder.2020-01-01T000000Z.yaml.mine", "notes.txt")
+    for name in mine:
+        (tmp_path / name).write_text("mine")
+    assert run("backup", "--all", "-o", str(tmp_path), "--keep", "3").status == 0
+    left = sorted(path.name for path in tmp_path.iterdir())
+    assert [name for name in left if name.startswith("left-the-roster.")] == [
+        f"left-the-roster.{day}.yaml" for day in days
+    ]
+    assert set(mine) <= set(left)
+    # Files of the future: the clock was wrong then, or is now. What was just read stays.
+    of_feeder = [name for name in left if name.startswith("feeder.2") and name not in mine]
+    assert len(of_feeder) == 3
+    assert of_feeder[1:] == [f"feeder.{day}.yaml" for day in days[2:]]
+    assert "old" not in (tmp_path / of_feeder[0]).read_text()
+    assert sum(name.startswith("belt.") for name in left) == 1
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--all",), ("--all", "feeder", "-o", "."), ("--all", "-o", "/no/folder"), (),
+        ("feeder", "--keep", "3"), ("--all", "-o", ".", "--keep", "0"),
+    ],
+)  # fmt: skip
+def test_words_that_do_not_go_together_are_refused_before_anything_is_read(
+    run: Run, two: dict[str, Drive], words: tuple[str, ...]
+) -> None:
+    ran = run("backup", *words)
+    assert (ran.status, len(ran.err.splitlines())) == (2, 1)
+    assert two["feeder"].stub.asked == []
+
+
+def test_without_a_daemon_no_drive_is_named(run: Run, tmp_path: Path) -> None:
+    ran = run("backup", "--all", "-o", str(tmp_path), "--socket", str(tmp_path / "none"))
+    assert (ran.status, len(ran.err.splitlines())) == (3, 1)
 
 
 def test_diff_shows_what_differs_between_file_and_drive(

@@ -50,8 +50,10 @@ def test_every_file_of_deploy_is_in_the_package(unpacked: Path) -> None:
 
 
 def test_units_start_a_program_of_the_package(unpacked: Path) -> None:
-    units = sorted((unpacked / "usr/lib/systemd/system").glob("*.service"))
-    assert [unit.name for unit in units] == sorted(one.name for one in DEPLOY.glob("*.service"))
+    folder = unpacked / "usr/lib/systemd/system"
+    ours = {*DEPLOY.glob("*.service"), *DEPLOY.glob("*.timer")}
+    assert {unit.name for unit in folder.iterdir()} == {one.name for one in ours}
+    units = sorted(folder.glob("*.service"))
     for unit in units:
         (program,) = re.findall(r"^ExecStart=(\S+)", unit.read_text(), re.MULTILINE)
         assert program == "/usr/bin/lecombus"

@@ -27,6 +27,7 @@ journal: /var/lib/lecombus/hall-3.sqlite
 mqtt: {host: 127.0.0.1, tls: false, control: true}
 """
 BRIDGE = "lecombus-mqtt@hall-3.service"
+BACKUP, BACKUPS = "lecombus-backup@hall-3", "/var/lib/lecombus-backup"
 PORT = "/run/simulated/hall-3"
 UNIT = "lecombus@hall-3.service"
 OPERATOR, VISITOR = "anna", "visitor"
@@ -164,6 +165,20 @@ def use_mqtt(root: DebianRoot) -> None:
     assert re.search(r"\twrite\tfeeder\tdone\tcode=C0046 value=17 .*client=mqtt", journal), journal
 
 
+def back_up(root: DebianRoot) -> None:
+    """The package's timer is off until it is wanted; its service is started here as it would."""
+    assert root.run("systemctl", "is-enabled", f"{BACKUP}.timer", status=1).strip() == "disabled"
+    root.run("systemctl", "enable", "--now", f"{BACKUP}.timer")
+    assert BACKUP in root.run("systemctl", "list-timers", "--no-pager")
+    root.run("systemctl", "start", f"{BACKUP}.service")
+    words = ("find", BACKUPS, "-name", "*.yaml", "-user", "lecombus")
+    files = root.run(*words).split()
+    assert sorted(Path(name).name.partition(".")[0] for name in files) == ["belt", "feeder"]
+    (of_feeder,) = [name for name in files if "/feeder." in name]
+    assert root.run("lecombus", "diff", of_feeder, "feeder", user=OPERATOR) == ""
+    root.run("cat", of_feeder, user=VISITOR, status=1)
+
+
 def bridge(root: DebianRoot) -> str:
     return root.run("systemctl", "show", "--property=MainPID", "--value", BRIDGE).strip()
 
@@ -230,11 +245,13 @@ def install_again(root: DebianRoot) -> None:
 
 def purge(root: DebianRoot, before: set[str]) -> None:
     root.run("apt-get", "purge", "--yes", "lecombus")
+    new = root.files() - before
     kept = {"/etc/lecombus", ROSTER, TOKENS}
-    assert root.files() - before == kept, "what people wrote is kept"
+    assert {name for name in new if not name.startswith(BACKUPS)} == kept, "what people wrote"
+    assert sum(name.endswith(".yaml") for name in new - kept) == 2, "and the backups"
     assert root.run("systemctl", "list-units", "--all", "--no-legend", "lecombus*") == ""
     assert not root.path("/run/lecombus").exists()
-    root.run("rm", "-r", "/etc/lecombus", TOKENS)
+    root.run("rm", "-r", "/etc/lecombus", TOKENS, BACKUPS)
     assert root.files() == before
     assert root.run("systemctl", "--failed", "--no-legend") == ""
 
@@ -253,6 +270,7 @@ def take_the_path(root: DebianRoot, package: Path, newer: Path, *, detours: bool
     scrape(root)
     write(root)
     use_mqtt(root)
+    back_up(root)
     unplug(root)
     upgrade(root, newer)
     upgrade_with_a_roster_that_is_refused(root)

@@ -105,6 +105,23 @@ def test_the_unit_of_a_bridge_is_right_and_exposes_little(tmp_path: Path, kind: 
     assert not re.search(r"^(Conflicts|BindsTo|Requires|PropagatesStopTo)=", text, re.MULTILINE)
 
 
+def test_the_backup_of_a_line_is_right_exposes_little_and_comes_each_day(tmp_path: Path) -> None:
+    text = (DEPLOY / "lecombus-backup@.service").read_text()
+    service = tmp_path / "lecombus-backup@hall-3.service"
+    service.write_text(text.replace("/opt/lecombus/bin/lecombus", sys.executable))
+    timer = service.with_suffix(".timer")
+    timer.write_text((DEPLOY / "lecombus-backup@.timer").read_text())
+    assert complaints(service) == ""
+    assert complaints(timer) == ""
+    done = run(
+        require("systemd-analyze"), "security", "--offline=yes", "--threshold=3", "--no-pager",
+        service,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr
+    timer.write_text(timer.read_text().replace("daily", "each day"))
+    assert complaints(timer) != "", "the check would see a mistake"
+
+
 def test_the_unit_speaks_with_this_machine_only() -> None:
     for line in ("IPAddressDeny=any", "IPAddressAllow=localhost"):
         assert f"\n{line}\n" in UNIT.read_text()

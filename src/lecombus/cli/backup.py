@@ -1,4 +1,4 @@
-"""`lecombus backup` and `lecombus diff`: a drive's parameters as a file, and what two differ in.
+"""`lecombus backup`: the parameters of a drive, or of every drive of a line, as files.
 
 A backup is written beside its place and then takes it, so that there is always a whole one; a file
 that is no backup is never replaced. How far a restore came is kept per line and drive in the user's
@@ -11,9 +11,11 @@ import fcntl
 import hashlib
 import json
 import os
+import re
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from urllib.parse import quote
@@ -26,12 +28,9 @@ from lecombus.backups import (
     Backup,
     BackupEntry,
     BackupHead,
-    Comparison,
-    Difference,
     Listener,
     Progress,
     ReadAttempt,
-    compare,
     done_line,
     head_line,
     read_backup,
@@ -44,8 +43,9 @@ from lecombus.backups import (
 from lecombus.cli.arguments import CODES, DaemonOptions, daemon_options, wait_option
 from lecombus.cli.daemon_access import connected
 from lecombus.cli.drive_access import HttpDrive
-from lecombus.cli.exits import CommandError, Exit
-from lecombus.cli.screen import counted, progress, show_rows
+from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.screen import Bar, counted, progress
+from lecombus.client.line import Line
 from lecombus.errors import ConfigError
 from lecombus.fieldbus.protocols import family_of_any_protocol
 from lecombus.parameters import Code, Json, Value
@@ -54,7 +54,6 @@ __all__ = [
     "Notes",
     "backup_command",
     "check_target",
-    "diff_command",
     "digest_of",
     "incomplete",
     "load_backup",
@@ -67,6 +66,9 @@ LARGEST = 4 * 1024 * 1024
 """Bytes; a backup of a thousand codes takes under a tenth of a megabyte."""
 
 MODE = 0o644
+
+FILE_NAME = re.compile(r"(?P<drive>[a-z0-9_-]+)\.\d{4}-\d\d-\d\dT\d{6}Z\.yaml", re.ASCII)
+"""What `--all` calls a file: its drive, and when it was taken (UTC)."""
 
 
 def read_text(path: Path) -> str:
@@ -207,17 +209,21 @@ def state_folder() -> Path:
     return root / "lecombus"
 
 
-SUFFIXES = (".yaml", ".yml")
-
-
 @click.command("backup")
-@click.argument("drive")
+@click.argument("drive", required=False)
+@click.option("--all", "of_all", is_flag=True, help="Every drive of the line, a file each.")
 @click.option(
     "-o",
     "--output",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Write it here, whole or not at all; default: standard output.",
+    help="Write it here, whole or not at all; default: standard output. With --all: a folder.",
+)
+@click.option(
+    "--keep",
+    type=click.IntRange(min=1),
+    metavar="NUMBER",
+    help="With --all: delete older files of a drive, so that so many stay; default: keep all.",
 )
 @click.option(
     "--also",
@@ -230,8 +236,10 @@ SUFFIXES = (".yaml", ".yml")
 @click.option("--partial", is_flag=True, help="Also write what is not complete.")
 @daemon_options
 def backup_command(
-    drive: str,
+    drive: str | None,
+    of_all: bool,
     output: Path | None,
+    keep: int | None,
     also: tuple[tuple[Code, ...], ...],
     patience_s: float,
     partial: bool,
@@ -244,15 +252,54 @@ def backup_command(
     with the reason. If codes could not be read because the line or the drive was not available,
     the backup is incomplete: without --partial it is not written (exit status 1).
 
+    With --all every drive of the line is read, one after the other, into FOLDER/DRIVE.TIME.yaml;
+    a drive that cannot be read is named (exit status 1) and does not stop the others.
+
     `lecombus diff` compares such files and drives, `lecombus restore` writes one back. With --json:
-    {"drive", "file", "complete", "codes": [{"code", "name", "section", "raw", "unit", "reason"}]}.
+    {"drive", "file", "complete", "codes": [{"code", "name", "section", "raw", "unit", "reason"}]};
+    with --all: {"drives": [..]} of those that were read.
     """
+    wanted = Wanted(tuple(code for codes in also for code in codes), patience_s, partial)
+    if of_all:
+        if drive is not None:
+            raise CommandError(Exit.USAGE, f"--all and {drive} are both given", "give one")
+        return back_up_all(daemon, folder_for(output), wanted, keep)
+    if drive is None:
+        raise CommandError(Exit.USAGE, "no drive is named", "name one, or give --all")
+    if keep is not None:
+        raise CommandError(Exit.USAGE, "--keep is for --all", "leave it out")
+    return back_up_one(daemon, drive, output, wanted)
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """How drives are read.
+
+    Args:
+        also: Further codes.
+        patience_s: How long to wait, each time, for a line or a drive that is away, seconds.
+        partial: Also write what is not complete.
+    """
+
+    also: tuple[Code, ...]
+    patience_s: float
+    partial: bool
+
+
+def back_up_one(daemon: DaemonOptions, drive: str, output: Path | None, wanted: Wanted) -> int:
+    """Back up one drive, and return the exit status."""
     if output is not None:
         check_target(output)
-    wanted = [code for codes in also for code in codes]
+
+    async def fetch(listener: Listener) -> tuple[Backup, list[ReadAttempt]]:
+        async with connected(daemon) as line:
+            return await read_drive(
+                HttpDrive(line, drive), wanted.also, patience_s=wanted.patience_s, listener=listener
+            )
+
     with progress(drive, quiet=daemon.as_json) as bar:
-        backup, left = anyio.run(fetch, daemon, drive, wanted, patience_s, bar)
-    if left and not partial:
+        backup, left = anyio.run(fetch, bar)
+    if left and not wanted.partial:
         raise incomplete(drive, left, output)
     text = write_backup(backup)
     if output is not None:
@@ -262,24 +309,15 @@ def backup_command(
     elif output is None:
         click.echo(text, nl=False)
     else:
-        missing = f", {len(backup.not_read)} not readable" if backup.not_read else ""
-        read = len(backup.entries) - len(backup.not_read)
-        click.echo(f"{drive}: {counted(read, 'code')} read{missing}, written to {output}", err=True)
+        click.echo(said_of(backup, output), err=True)
     return Exit.FAILED if left else Exit.DONE
 
 
-async def fetch(
-    daemon: DaemonOptions,
-    drive: str,
-    also: Sequence[Code],
-    patience_s: float,
-    listener: Listener,
-) -> tuple[Backup, list[ReadAttempt]]:
-    """Connect and read."""
-    async with connected(daemon) as line:
-        return await read_drive(
-            HttpDrive(line, drive), also, patience_s=patience_s, listener=listener
-        )
+def said_of(backup: Backup, output: Path) -> str:
+    """Return the line that says what was written."""
+    missing = f", {len(backup.not_read)} not readable" if backup.not_read else ""
+    read = len(backup.entries) - len(backup.not_read)
+    return f"{backup.head.drive}: {counted(read, 'code')} read{missing}, written to {output}"
 
 
 async def read_drive(
@@ -329,6 +367,99 @@ def incomplete(drive: str, left: Sequence[ReadAttempt], output: Path | None) -> 
     )
 
 
+# ---- every drive of a line ------------------------------------------------------------------
+
+
+def folder_for(output: Path | None) -> Path:
+    """Return the folder of the files of `--all`.
+
+    Raises:
+        CommandError: There is none, or it may not be written into.
+    """
+    if output is None:
+        raise CommandError(Exit.USAGE, "--all needs a folder", "give it with -o FOLDER")
+    if not output.is_dir():
+        raise CommandError(Exit.USAGE, f"there is no folder {output}", "make it first")
+    if not os.access(output, os.W_OK | os.X_OK):
+        raise CommandError(Exit.FORBIDDEN, f"{output} may not be written into")
+    return output
+
+
+def back_up_all(daemon: DaemonOptions, folder: Path, wanted: Wanted, keep: int | None) -> int:
+    """Back up every drive of the line, and return the exit status.
+
+    Raises:
+        CommandError: For each drive that could not be backed up; the others were.
+    """
+    documents: list[dict[str, Json]] = []
+    problems: list[Problem] = []
+
+    async def fetch() -> None:
+        async with connected(daemon) as line:
+            for one in (await line.ask("/v1/drives")).data["drives"]:
+                name = str(one["drive"])
+                try:
+                    with progress(name, quiet=daemon.as_json) as bar:
+                        documents.append(await back_up_into(folder, line, name, wanted, keep, bar))
+                except CommandError as exc:
+                    problems.extend(naming(name, problem) for problem in exc.problems)
+                except OSError as exc:
+                    why = exc.strerror or type(exc).__name__
+                    problems.append(naming(name, Problem(f"not written to {folder}: {why}")))
+
+    anyio.run(fetch)
+    if daemon.as_json:
+        click.echo(json.dumps({"drives": documents}, ensure_ascii=False))
+    if problems:
+        raise CommandError.of(Exit.FAILED, *problems)
+    return Exit.DONE if all(one["complete"] for one in documents) else Exit.FAILED
+
+
+async def back_up_into(
+    folder: Path, line: Line, name: str, wanted: Wanted, keep: int | None, bar: Bar
+) -> dict[str, Json]:
+    """Back up one of several drives, drop its oldest files, and return the JSON form.
+
+    Raises:
+        CommandError: It could not be read; its files are as they were.
+        OSError: Its file could not be written.
+    """
+    drive = HttpDrive(line, name)
+    backup, left = await read_drive(drive, wanted.also, patience_s=wanted.patience_s, listener=bar)
+    if left and not wanted.partial:
+        raise incomplete(name, left, None)
+    path = folder / f"{name}.{backup.head.taken.replace(':', '')}.yaml"
+    save(path, write_backup(backup))
+    bar.say(said_of(backup, path))
+    if keep is not None and not left:  # what is not complete takes the place of nothing
+        drop_oldest(folder, path, keep)
+    return summary(backup, path, left)
+
+
+def drop_oldest(folder: Path, written: Path, keep: int) -> None:
+    """Delete the oldest files of a drive; the one just written stays, whatever the clock says."""
+    drive = written.name.partition(".")[0]
+    files = [path for path in folder.iterdir() if path != written and drive_of(path) == drive]
+    for path in sorted(files, reverse=True)[keep - 1 :]:
+        path.unlink(missing_ok=True)
+
+
+def drive_of(path: Path) -> str:
+    """Return whose backup a file is, by the name that `--all` gave it; empty: it gave none."""
+    found = FILE_NAME.fullmatch(path.name)
+    return "" if found is None else found["drive"]
+
+
+def naming(drive: str, problem: Problem) -> Problem:
+    """Return a problem that names its drive."""
+    if problem.drive == drive:
+        return problem
+    return replace(problem, problem=f"{drive}: {problem.problem}", drive=drive)
+
+
+# ---- the JSON form --------------------------------------------------------------------------
+
+
 def summary(backup: Backup, output: Path | None, left: Sequence[ReadAttempt]) -> dict[str, Json]:
     """Return the JSON form."""
     return {
@@ -349,137 +480,4 @@ def entry_json(backup: Backup, entry: BackupEntry) -> dict[str, Json]:
         "raw": None if entry.value is None else entry.value.raw,
         "unit": None if info is None else info.unit,
         "reason": entry.missing or None,
-    }
-
-
-# ---- differences -----------------------------------------------------------------------------
-
-
-@click.command("diff")
-@click.argument("one", metavar="A")
-@click.argument("other", metavar="B")
-@click.option(
-    "--all",
-    "everything",
-    is_flag=True,
-    help="Also process values, addresses and what tells drives apart.",
-)
-@wait_option
-@daemon_options
-def diff_command(
-    one: str,
-    other: str,
-    everything: bool,
-    patience_s: float,
-    daemon: DaemonOptions,
-) -> int:
-    """Show the differences of A and B; each is a backup's file, or a drive, which is read now.
-
-    An argument with a slash, or that ends in .yaml or .yml, is a file; all others are drives.
-    Numbers are compared as numbers: 35.0 is 35.
-
-    Exit status: 0 they are equal; 1 they differ (or a drive could not be read: nothing is shown
-    then). In a pipe: code, name, A, B, unit, separated by tabs. With --json: {"equal", "same",
-    "left_out", "remarks", "differences": [{"code", "name", "unit", "one", "other"}]}.
-    """
-    with progress("reading", quiet=daemon.as_json) as bar:
-        backups = anyio.run(gather, (one, other), daemon, patience_s, bar)
-    found = compare(*backups, everything=everything)
-    if daemon.as_json:
-        click.echo(json.dumps(comparison_json(found), ensure_ascii=False))
-    else:
-        show(found, one, other)
-    return Exit.DONE if found.equal else Exit.FAILED
-
-
-async def gather(
-    names: tuple[str, str],
-    daemon: DaemonOptions,
-    patience_s: float,
-    listener: Listener,
-) -> tuple[Backup, Backup]:
-    """Load or read both."""
-    first, second = names
-    before = load_backup(Path(first)) if is_file(first) else None
-    after = load_backup(Path(second)) if is_file(second) else None
-    if before is not None and after is not None:
-        return before, after
-    async with connected(daemon) as line:
-        # What the file knows beyond the descriptions is asked of the drive as well.
-        also = [code for backup in (before, after) if backup for code in backup.entries]
-
-        async def read(name: str) -> Backup:
-            drive = HttpDrive(line, name)
-            backup, left = await read_drive(drive, also, patience_s=patience_s, listener=listener)
-            if left:
-                raise incomplete(name, left, None)
-            return backup
-
-        return before or await read(first), after or await read(second)
-
-
-def is_file(name: str) -> bool:
-    """Return whether a file is meant.
-
-    Raises:
-        CommandError: It can be both.
-    """
-    if os.sep in name or name.endswith(SUFFIXES):
-        return True
-    if Path(name).is_file():
-        raise CommandError(
-            Exit.USAGE, f"{name} is a file here and may be a drive", f"write ./{name} for it"
-        )
-    return False
-
-
-def show(found: Comparison, one: str, other: str) -> None:
-    """Print the differences as a table or as lines of cells."""
-    for remark in found.remarks:
-        click.echo(remark, err=True)
-    rows = [
-        (
-            str(each.code), each.name, shown(each.one, each.meaning_one),
-            shown(each.other, each.meaning_other), each.unit or "",
-        )
-        for each in found.differences
-    ]  # fmt: skip
-    if rows:
-        show_rows(("code", "name", one, other, "unit"), rows)
-    elif not found.same:
-        click.echo("there is nothing to compare", err=True)
-
-
-def shown(entry: BackupEntry | None, meaning: str) -> str:
-    """Return one side of a difference."""
-    if entry is None:
-        return "not there"
-    if entry.value is None:
-        return f"not read ({entry.missing})"
-    return f"{entry.value} ({meaning})" if meaning else entry.value.raw
-
-
-def comparison_json(found: Comparison) -> dict[str, Json]:
-    """Return the JSON form."""
-    return {
-        "equal": found.equal,
-        "same": found.same,
-        "left_out": found.left_out,
-        "remarks": list(found.remarks),
-        "differences": [difference_json(each) for each in found.differences],
-    }
-
-
-def difference_json(each: Difference) -> dict[str, Json]:
-    """Return the JSON form of one difference."""
-
-    def side(entry: BackupEntry | None) -> Json:
-        return None if entry is None or entry.value is None else entry.value.raw
-
-    return {
-        "code": str(each.code),
-        "name": each.name,
-        "unit": each.unit,
-        "one": side(each.one),
-        "other": side(each.other),
     }
