@@ -12,7 +12,7 @@ import pytest
 from lecombus.drives import StopAction, Verb
 from lecombus.errors import OperationError
 from lecombus.operations.actions import Act
-from lecombus.operations.context import OperationContext
+from lecombus.operations.write_kinds import WriteKinds
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome
 from support.rosters import roster_text
@@ -189,9 +189,7 @@ def test_a_write_expires_by_when_it_was_asked_for() -> None:
 def test_followers_get_the_value_that_was_known_before_but_no_password(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(
-        OperationContext, "is_secret", lambda context, target, code: code == Code(1)
-    )
+    monkeypatch.setattr(WriteKinds, "is_secret", lambda kinds, target, code: code == Code(1))
 
     async def scenario(plant: Plant) -> None:
         await plant.online()

@@ -23,7 +23,6 @@ from lecombus.operations.actions import (
     Actions,
     Actor,
 )
-from lecombus.operations.context import OperationContext
 from lecombus.operations.facade import Operations
 from lecombus.operations.group_writes import GroupWrites
 from lecombus.operations.identities import Identities
@@ -31,6 +30,7 @@ from lecombus.operations.operation_reports import GroupReport, VerbReport, Write
 from lecombus.operations.readdress import Readdress
 from lecombus.operations.stop_requests import Stops
 from lecombus.operations.verb_operations import Verbs
+from lecombus.operations.write_kinds import WriteKinds
 from lecombus.operations.writes import Writes
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome
@@ -113,11 +113,9 @@ def recorded(actions: Actions, monkeypatch: pytest.MonkeyPatch) -> Recorded:
         }  # fmt: skip
         for part, name in parts.items():
             monkeypatch.setattr(part, name, getattr(drives, name))
+        monkeypatch.setattr(WriteKinds, "is_secret", lambda kinds, target, code: code == PASSWORD)
         monkeypatch.setattr(
-            OperationContext, "is_secret", lambda context, target, code: code == PASSWORD
-        )
-        monkeypatch.setattr(
-            OperationContext, "on_the_wire", lambda context, target, code, value: str(value)
+            WriteKinds, "on_the_wire", lambda kinds, target, code, value: str(value)
         )
         line, state = Mock(), Mock(lease_number=0)
         operations = Operations(

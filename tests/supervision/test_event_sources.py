@@ -16,7 +16,7 @@ from lecombus.drives import StopAction, Verb
 from lecombus.errors import OperationError
 from lecombus.event_stream import EventFilter
 from lecombus.operations.actions import ACTOR, SECRET, Actor
-from lecombus.operations.context import OperationContext
+from lecombus.operations.write_kinds import WriteKinds
 from lecombus.parameters import Code
 from lecombus.supervision import event_sources
 from lecombus.supervision.event_sources import HEARTBEAT_S, EventSources
@@ -299,7 +299,7 @@ def test_an_event_of_a_lease_says_by_whom_as_a_write_does(uid: int | None) -> No
 
 
 def test_no_password_is_published(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(OperationContext, "is_secret", lambda context, drive, code: code == TIME)
+    monkeypatch.setattr(WriteKinds, "is_secret", lambda kinds, drive, code: code == TIME)
     monkeypatch.setattr(EventSources, "_is_secret", lambda sources, drive, code: code == TIME)
 
     async def test(plant: Plant, events: Reading) -> None:

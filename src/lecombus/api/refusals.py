@@ -98,7 +98,7 @@ class Refusals:
             ProblemError: It is a setting, and too many were refused lately.
         """
         context = self._ops.context
-        if self._journal is None or context.means_stop(write.target, write.code, write.value):
+        if self._journal is None or context.kinds.is_stop(write.target, write.code, write.value):
             return await act()
         window = self._window(event, write.target)
         if window.refused >= FEW:
@@ -106,11 +106,11 @@ class Refusals:
                 await self._check_write(write)
             except OperationError as exc:
                 fields = {"code": str(write.code), "reason": str(exc)}
-                if context.is_secret(write.target, write.code):
+                if context.kinds.is_secret(write.target, write.code):
                     del fields["reason"]  # it may quote the value
                 self._count(event, write.target, fields)
                 raise
-        limited = context.is_setting(write.target, write.code, write.value)
+        limited = context.kinds.is_setting(write.target, write.code, write.value)
         return await self._noted(window, act, MANY if limited else None, write.target)
 
     async def verb(self, drive: str, verb: Verb, act: Act[Answer]) -> Answer:
@@ -156,9 +156,8 @@ class Refusals:
     async def _check_write(self, write: AskedWrite) -> None:
         """Raise what a write would be refused with now."""
         context = self._ops.context
-        group = context.groups.get(write.target)
-        await context.see_stops(write.target, write.code, write.value)
-        for name in (write.target,) if group is None else group.members:
+        await context.shown_stops.see(write.target, write.code, write.value)
+        for name in context.drive_names(write.target):
             context.permissions.permitted(
                 name, context.station(name), write.code, write.value, restoring=write.restoring
             )
@@ -171,7 +170,7 @@ class Refusals:
         context = self._ops.context
         rules = context.station(drive).family.verbs
         if verb is Verb.SET_SPEED and rules is not None:
-            await context.see_stops(drive, rules.setpoints[0].code)
+            await context.shown_stops.see(drive, rules.setpoints[0].code)
         context.leases.check(drive, USES[verb])
         context.permissions.check_ready(drive)
 

@@ -284,7 +284,7 @@ class EnableRecord:
 class LastingRecord:
     """What counts for the drive of this name with any entry, also when it comes back later.
 
-    Changed by `awaited_requests`, `context`, `verb_steps` and `wear` of `operations`.
+    Changed by `awaited_requests`, `stop_conditions`, `verb_steps` and `wear` of `operations`.
 
     Args:
         stops: How often a stop was sent to it, for work of several steps: what is not in the

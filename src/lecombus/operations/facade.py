@@ -77,7 +77,7 @@ class Operations:
         self._groups = GroupWrites(context, self._writes)
         self._verbs = Verbs(context, self._writes, self._stops)
         self.set_roster: Final = context.set_roster
-        self.is_command: Final = context.is_command
+        self.is_command: Final = context.kinds.is_command
         self.close: Final = context.permissions.close
         self.read: Final = reads.read
         self.read_address: Final = reads.read_address
@@ -206,35 +206,34 @@ class Operations:
             return TimesReport(drive, rows)
 
     def _shown(self, target: str, code: Code, value: Decimal | int | str) -> str:
-        if self.context.is_secret(target, code):
+        if self.context.kinds.is_secret(target, code):
             return SECRET
-        return self.context.on_the_wire(target, code, value)
+        return self.context.kinds.on_the_wire(target, code, value)
 
     def _means_stop(self, target: str, code: Code, value: Decimal | int | str) -> bool:
         """Whether a plain write is a stop, which no follower of operations may delay."""
-        return bool(self.actions.followers) and self.context.means_stop(target, code, value)
+        return bool(self.actions.followers) and self.context.kinds.is_stop(target, code, value)
 
     def _is_setting(self, target: str, code: Code, value: Decimal | int | str) -> bool:
         """Whether a write changes settings only, which is carried out while a journal fails."""
-        return bool(self.actions.followers) and self.context.is_setting(target, code, value)
+        return bool(self.actions.followers) and self.context.kinds.is_setting(target, code, value)
 
     def _old(self, target: str, code: Code) -> str:
         """Return what a drive, or each of a group, was last read to hold, as on the wire."""
-        if not self.actions.followers or self.context.is_secret(target, code):
+        if not self.actions.followers or self.context.kinds.is_secret(target, code):
             return ""
-        group = self.context.groups.get(target)
         found = {
             name: reading.value.raw
-            for name in ((target,) if group is None else group.members)
+            for name in self.context.drive_names(target)
             if name in self.context.entries
             and (reading := self.context.store.reading(name, code)) is not None
             and reading.value is not None
             and reading.quality is not Quality.BAD  # it may have been written since
         }
         return (
-            found.get(target, "")
-            if group is None
-            else ",".join(f"{name}:{raw}" for name, raw in found.items())
+            ",".join(f"{name}:{raw}" for name, raw in found.items())
+            if target in self.context.groups
+            else found.get(target, "")
         )
 
 

@@ -86,8 +86,8 @@ class GroupWrites:
         """
         expires_at_s = None if expires_s is None else self._context.clock() + expires_s
         members = self._context.group(group).members
-        marks = {name: self._context.stop_mark(name) for name in members}
-        await self._context.see_stops(group, code, value)
+        marks = {name: self._context.stop_marks.mark(name) for name in members}
+        await self._context.shown_stops.see(group, code, value)
         stations, wires = self._permitted_all(group, code, value)
         pairs = zip(stations, wires, strict=True)
         if not all(asks_to_stop(one.family, code, wire) for one, wire in pairs):
@@ -132,7 +132,7 @@ class GroupWrites:
         stopped = {
             name
             for name, mark in marks.items()
-            if self._context.is_outdated(name, mark)
+            if self._context.stop_marks.is_outdated(name, mark)
             or self._context.requests.stopped_since_asked(name)
         }
         return [
@@ -199,7 +199,7 @@ class GroupWrites:
             self._context.wear.check(one.name, code)
         for one in stations:
             self._context.wear.take(one.name, code)
-            self._context.note_write(one, code, wire)
+            self._context.stop_marks.note_write(one, code, wire)
         outcome, reason, kind = await self._multicast(to, stations, code, wire, expires_at_s)
         if outcome is Outcome.DONE and verify is not False:
             proofs = await asyncio.gather(*(self._proof(one, code, wire) for one in stations))
@@ -235,7 +235,7 @@ class GroupWrites:
                 continue
             try:
                 self._context.wear.take(one.name, code)
-                self._context.note_write(one, code, wire)
+                self._context.stop_marks.note_write(one, code, wire)
                 waits[index] = self._writes.submit_write(
                     one, code, wire, expires_at_s, verify=verify
                 )

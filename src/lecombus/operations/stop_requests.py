@@ -165,7 +165,7 @@ class Stops:
 
     def _say_stop(self, station: Station, action: StopAction, *, said: bool) -> Ending:
         """Submit a stop of one drive, or join one of the same kind that waits."""
-        self._context.note_stop(station.name)
+        self._context.stop_marks.note_stop(station.name)
         ending = Ending()
         waiting = self._stops.get((station.name, action))
         same = waiting is not None and station_of(waiting.request) is station

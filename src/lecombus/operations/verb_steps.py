@@ -161,7 +161,7 @@ class VerbSteps:
     async def _write(self, run: Run, code: Code, raw: str) -> WriteReport:
         name = run.station.name
         if USES[run.verb] is Use.SETPOINT:
-            await self._context.see_stops(name, code)
+            await self._context.shown_stops.see(name, code)
             if self.stopped_meanwhile(run):
                 return superseded(run)
         wire = self._context.permissions.permitted(name, run.station, code, raw, use=USES[run.verb])

@@ -67,8 +67,8 @@ class Writes:
             urgency: The class to run in; None: by what is written. What moves a drive keeps its
                 own.
             restoring: It belongs to the restore of a backup: other codes may be written then.
-            unless_stopped_since: A `stop_mark` of the drive: a later stop ends the write, and so
-                does a start of lecombus since.
+            unless_stopped_since: A mark of the drive (`StopMarks`): a later stop ends the write,
+                and so does a start of lecombus since.
 
         Raises:
             OperationError: It may not be written, or the value is not one for this code.
@@ -77,8 +77,8 @@ class Writes:
         """
         station = self._context.station(drive)
         expires_at_s = None if expires_s is None else self._context.clock() + expires_s
-        mark = self._context.stop_mark(drive)
-        await self._context.see_stops(drive, code, value)
+        mark = self._context.stop_marks.mark(drive)
+        await self._context.shown_stops.see(drive, code, value)
         wire = self._context.permissions.permitted(drive, station, code, value, restoring=restoring)
         if not asks_to_stop(station.family, code, wire):
             refuse_for_gone_client(drive)
@@ -91,14 +91,14 @@ class Writes:
             if there is not None:
                 return there
             # The drive may have been stopped, changed or removed during the read.
-            if self._context.is_outdated(drive, mark):
+            if self._context.stop_marks.is_outdated(drive, mark):
                 return stopped_first(drive, code)
             station = self._context.requests.station(drive)
             wire = self._context.permissions.permitted(
                 drive, station, code, value, restoring=restoring
             )
             self._context.wear.take(drive, code)
-        self._context.note_write(station, code, wire)
+        self._context.stop_marks.note_write(station, code, wire)
         ending = self.submit_write(
             station, code, wire, expires_at_s, verify=verify, urgency=urgency,
             use=use_of(station.family, code, wire, restoring=restoring),
@@ -108,11 +108,11 @@ class Writes:
 
     def _why_outdated(self, drive: str, mark: str, unless_stopped_since: str | None) -> str:
         """Say why a stop ends the write before it begins; empty: none does."""
-        context = self._context
-        stopped = context.requests.stopped_since_asked(drive) or context.is_outdated(drive, mark)
+        requests, marks = self._context.requests, self._context.stop_marks
+        stopped = requests.stopped_since_asked(drive) or marks.is_outdated(drive, mark)
         outdated = STOPPED if stopped else ""
         if unless_stopped_since is not None:
-            outdated = context.why_outdated(drive, unless_stopped_since) or outdated
+            outdated = marks.why_outdated(drive, unless_stopped_since) or outdated
         return outdated
 
     async def already_there(
@@ -198,7 +198,8 @@ class Writes:
             OperationError: `no-such-drive`.
         """
         return replace(
-            self._context.permissions.restore_rights(drive), stops=self._context.stop_mark(drive)
+            self._context.permissions.restore_rights(drive),
+            stops=self._context.stop_marks.mark(drive),
         )
 
     def report(

@@ -300,7 +300,7 @@ class LecomExchangeLoop:
                 self._stall.excuse(self._pause.late_s)
                 self._look()
             self._go_on()
-        except BaseException as exc:
+        except BaseException as exc:  # of any kind: in a callback it would vanish
             if not self._ends_by(exc):
                 raise
 
@@ -482,7 +482,7 @@ class LecomExchangeLoop:
             if not self._follow(done, result):
                 self._conclude(*done, result)
                 self._go_on()
-        except BaseException as exc:
+        except BaseException as exc:  # of any kind: in a callback it would vanish
             if not self._ends_by(exc):
                 raise
 
