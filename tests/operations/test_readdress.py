@@ -268,6 +268,23 @@ def test_a_drive_found_nowhere_is_said_with_what_to_do_and_remembered() -> None:
     with_plant(test, ROSTER, state=state)
 
 
+def test_a_line_that_is_lost_behind_the_write_leaves_the_outcome_open() -> None:
+    async def test(plant: Plant) -> None:
+        await ready(plant)
+
+        def cut_at_the_write(at_s: float, one: ReceivedRequest) -> None:
+            if one.text is not None and one.address == 11:
+                plant.end.unplug()
+
+        plant.line.on_request = cut_at_the_write
+        report = await change(plant, 35)
+        assert (report.outcome, report.kind) == (Outcome.UNKNOWN, "no-answer")
+        assert "35 was written to it" in report.reason
+        assert "35 was written as its address" in remark(plant)
+
+    with_plant(test, ROSTER)
+
+
 @pytest.mark.parametrize(
     ("drive", "code"),
     [("a", 9), ("a", 125), ("a", 1410), ("v", 1410), ("v", 1411), ("v", 1403), ("v", 9),
@@ -329,6 +346,27 @@ def test_one_that_does_not_say_that_it_saved_is_found_all_the_same_and_that_is_s
         assert "did not say that it did" in report.reason
         assert "C0003 = 1" in report.remedy
         assert "address: 35" in report.remedy
+
+    with_plant(test, KEEPS_ROSTER)
+
+
+def test_a_line_that_is_lost_before_the_save_does_not_hide_that_the_drive_has_moved() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online(within_s=60.0)
+        await plant.site.operations.stop(StopAction.INHIBIT, "all")
+        write = plant.site.requests.write
+
+        async def cut(station: Station, code: Code, value: Value, **more: Any) -> Any:
+            if code == Code(3):
+                plant.end.unplug()
+                await anyio.sleep(1.0)
+            return await write(station, code, value, **more)
+
+        plant.site.requests.write = cut  # type: ignore[method-assign]
+        report = await change(plant, 35)
+        assert report.outcome is Outcome.VERIFIED
+        assert "did not say that it did" in report.reason
+        assert entry(plant).address == 35
 
     with_plant(test, KEEPS_ROSTER)
 

@@ -35,7 +35,13 @@ from lecombus.drive_state.store import Store
 from lecombus.drives import Family
 from lecombus.drives.procedures import ask_standstill, text_of
 from lecombus.drives.restore_rules import saving_rule
-from lecombus.errors import ExchangeError, NoReplyError, OperationError
+from lecombus.errors import (
+    ExchangeError,
+    LineError,
+    NoReplyError,
+    OperationError,
+    ScheduleError,
+)
 from lecombus.fieldbus.protocols import find
 from lecombus.fieldbus.requests import Station
 from lecombus.leases import Use
@@ -57,6 +63,9 @@ MOVED = "address"
 
 PAUSES_S = (0.1, 0.4, 1.0, 2.0)
 """Before each look for the drive at its new address: some take a moment."""
+
+TROUBLE = (ExchangeError, LineError, OperationError, ScheduleError)
+"""What may come once the address was written: the outcome must not say that nothing was sent."""
 
 
 class Readdress:
@@ -133,7 +142,7 @@ class Readdress:
         Raises:
             OperationError: It may not be done now; nothing was sent that changes anything.
             ExchangeError: The drive could not be asked whether it is stopped; nothing was changed.
-            LineError: There is no line.
+            LineError: There is no line; nothing was changed.
         """
         async with self._one_at_a_time:
             station = self._requests.station(drive)
@@ -237,7 +246,7 @@ class Readdress:
                 if (await self._read(there, address_code(there.family))).number != address:
                     continue
                 return await self._is_the_same(drive, there)
-            except (ExchangeError, OperationError):
+            except TROUBLE:
                 continue
         return False
 
@@ -273,9 +282,12 @@ class Readdress:
         rule = saving_rule(station.family)
         if rule is None or rule.value is None:
             return report
-        outcome, reason = await self._requests.write_to_the_end(
-            station, rule.codes[0], Value.decimal(rule.value), verify=False
-        )
+        try:
+            outcome, reason = await self._requests.write_to_the_end(
+                station, rule.codes[0], Value.decimal(rule.value), verify=False
+            )
+        except TROUBLE as exc:
+            outcome, reason = Outcome.REFUSED, str(exc)
         if outcome is Outcome.DONE:
             return dataclasses.replace(report, reason=f"{report.reason}; it saved that")
         logger.warning("drive=%s event=readdress-unsaved reason=%s", drive, reason)
@@ -293,14 +305,14 @@ class Readdress:
         try:
             async with self._at(station, station.address) as here:  # it may count as offline by now
                 held = (await self._read(here, code)).number
-        except (ExchangeError, OperationError) as exc:
+            if held == station.address:
+                text = f"it still answers at address {station.address}: nothing was changed"
+                return WriteReport(drive, code, Outcome.REFUSED, text, kind="not-in-effect")
+            outcome, reason = await self._requests.write_to_the_end(
+                station, code, Value.decimal(station.address), verify=True
+            )
+        except TROUBLE as exc:
             return self._lost(drive, station, address, str(exc))
-        if held == station.address:
-            text = f"it still answers at address {station.address}: nothing was changed"
-            return WriteReport(drive, code, Outcome.REFUSED, text, kind="not-in-effect")
-        outcome, reason = await self._requests.write_to_the_end(
-            station, code, Value.decimal(station.address), verify=True
-        )
         if outcome is Outcome.VERIFIED:
             text = (
                 f"it took {address} but still answers at {station.address}, so it would move at "
