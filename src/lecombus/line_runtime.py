@@ -11,6 +11,7 @@ from __future__ import annotations
 import secrets
 from collections.abc import Callable
 
+from lecombus.capacity.load import load_on
 from lecombus.config import (
     FIXED,
     LineEntry,
@@ -70,7 +71,7 @@ class LineRuntime:
         state: State | None = None,
     ) -> None:
         line, self.roster = roster.line, roster
-        timing = timing or line_timing(line)
+        self._timing = timing = timing or line_timing(line)
         # What is known.
         self.state = state or State()
         self.store = store = Store(clock, wall)
@@ -120,6 +121,7 @@ class LineRuntime:
                 file=roster.file,
             )
         changes = roster_changes(self.roster, roster)
+        self.store.plan_stretch(load_on(roster.drives, self._timing).stretch)
         self.supervision.changes.apply(self.roster, roster)
         self.state.bound(entry.name for entry in roster.drives)
         self.operations.set_roster(roster.drives, roster.groups)

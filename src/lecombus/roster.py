@@ -447,7 +447,7 @@ CYCLIC_GRACE_S: Final = 1.0
 """On top of two periods: a retry and a quarantine do not make a value stale."""
 
 STRETCH_MOST: Final = 4.0
-"""A line that takes longer for its periods does not make unread values fresh."""
+"""A roster that asks for more than this is not read that seldom because values stay good."""
 
 
 def good_for_s(every_s: float | None, stretch: float) -> float:
@@ -455,7 +455,8 @@ def good_for_s(every_s: float | None, stretch: float) -> float:
 
     Args:
         every_s: How often its code is read; None: not cyclically.
-        stretch: How far the line stretches its cyclic reads at present, 1 or more.
+        stretch: The factor by which the roster's reads are stretched by plan (`capacity.load`), 1
+            or more; not what a line did of late, which a pause of the daemon makes larger.
     """
     if every_s is None:
         return ON_DEMAND_GOOD_S

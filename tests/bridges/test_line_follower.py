@@ -44,7 +44,7 @@ class Daemon:
         self.quality = "good"
         self.code = "C0050"
         self.every_s = 1.0
-        self.stretch = 1.0
+        self.planned_stretch = 1.0
         self.drives = ["feeder"]
         self.is_silent = False
         self.is_gone = False
@@ -76,7 +76,8 @@ class Daemon:
             documents = [self.drive(name) for name in self.drives]
             return httpx2.Response(200, json={"drives": documents})
         return httpx2.Response(200, json={
-            "/v1/line": {"line": "hall-3", "state": "open", "stretch": self.stretch},
+            "/v1/line": {"line": "hall-3", "state": "open", "stretch": 3.5,
+                         "planned_stretch": self.planned_stretch},
             "/v1/plan": {"roster": {"drives": [{"name": "feeder", "cyclic": [
                 {"code": "C0050", "every_s": self.every_s}]}]}},
             "/v1/leases": {"leases": []},
@@ -280,7 +281,7 @@ def test_an_event_that_waited_on_its_way_is_as_old_as_it_is() -> None:
 
 def test_a_stretched_line_keeps_values_good_for_longer() -> None:
     async def script(seen: Followed) -> None:
-        seen.daemon.stretch = 2.0
+        seen.daemon.planned_stretch = 2.0
         await anyio.sleep(0.5)
         value = seen.follower.value("feeder", "C0050")
         assert value is not None

@@ -147,9 +147,9 @@ def test_a_cyclic_value_goes_stale_after_two_periods_and_a_second(
     golden(reason)
 
 
-def test_a_stretched_cadence_allows_cyclic_values_more_age(store: Store, clocks: Clocks) -> None:
+def test_a_planned_stretch_allows_cyclic_values_more_age(store: Store, clocks: Clocks) -> None:
     store.expect("feeder", FREQUENCY, 0.5)
-    store.set_stretch(4.0)
+    store.plan_stretch(4.0)
     store.value_read("feeder", FREQUENCY, Value.parse("35.4"), clocks.now_s)
     clocks.tick(4.9)
     assert quality(store)[0] is Quality.GOOD
@@ -163,7 +163,11 @@ def test_a_line_that_reads_nothing_any_more_makes_no_value_fresh(
     store.expect("feeder", FREQUENCY, 0.5)
     store.value_read("feeder", FREQUENCY, Value.parse("35.4"), clocks.now_s)
     store.set_stretch(1000.0)
-    clocks.tick(5.1)
+    clocks.tick(2.1)
+    assert quality(store)[0] is Quality.STALE, "what happened of late does not count"
+    store.plan_stretch(1000.0)
+    assert quality(store)[0] is Quality.GOOD
+    clocks.tick(3.0)
     shown, reason = quality(store)
     assert shown is Quality.STALE
     golden(reason)

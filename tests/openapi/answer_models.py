@@ -177,6 +177,9 @@ class LineDocument(Document):
     reason: str | None
     since: str
     stretch: Annotated[Exact, Field(description="1 when every cyclic read keeps its period")]
+    planned_stretch: Annotated[
+        Exact, Field(description="`stretch` as the roster's plan gives it; values are judged by it")
+    ]
     remarks: dict[str, str]
     drives: Annotated[dict[str, int], Field(description="How many drives are in each state")]
 

@@ -16,6 +16,8 @@ import math
 from collections.abc import Callable
 from itertools import cycle
 
+from lecombus.capacity.load import load_on
+from lecombus.config import line_timing
 from lecombus.drive_state.readings import DriveState, Quality
 from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
 from lecombus.fieldbus.lecom.simulator.drive import SimDrive
@@ -41,8 +43,10 @@ LEAST_TRIED_S = 1.5
 """A stop without proof is sent again for at least this long. Source: docs/troubleshooting.md."""
 TRIED_S = 5.0
 """For so long a stop of a drive that is online is tried. Source: docs/troubleshooting.md."""
+ROUNDING_S = 1e-6
 PERIODS, STRETCH_MOST, GRACE_S = 2.0, 4.0, 1.0
-"""A cyclic value is good for two periods, as stretched, and this. Source: docs/operations.md."""
+"""A cyclic value is good for two periods, as the roster's plan stretches them, and this. Source:
+docs/operations.md."""
 
 
 class Shown:
@@ -86,6 +90,8 @@ class Shown:
             for entry in drive.cyclic
         ]
         self._turn = cycle(self._values)
+        load = load_on(line.roster.drives, line_timing(line.roster.line))
+        self._periods = PERIODS * min(load.stretch, STRETCH_MOST)
         self._failed: set[tuple[str, Code]] = set()
         self._given: dict[tuple[str, Code], tuple[str, float]] = {}
         self._free: dict[str, tuple[bool, bool]] = {}
@@ -242,5 +248,5 @@ class Shown:
             self._say(f"{code} of {name} is shown as good, and the last attempt failed")
         elif reading.value is None or reading.value.raw != text:
             self._say(f"{code} of {name} is shown as {reading.value}, and the drive gave {text}")
-        elif age_s > PERIODS * STRETCH_MOST * every_s + GRACE_S:
+        elif age_s > self._periods * every_s + GRACE_S + ROUNDING_S:
             self._say(f"{code} of {name} is shown as good, and it is {age_s:.1f} s old")

@@ -425,7 +425,8 @@ class LineFollower:
     def _value(self, reading: Reading, read_at_s: float, heard_s: float = -inf) -> FollowedValue:
         if not reading.is_good:
             return FollowedValue(reading, read_at_s, -inf, heard_s)
-        stretch = 1.0 if self.line is None else float(self.line.document.get("stretch") or 1)
+        line = {} if self.line is None else self.line.document
+        stretch = float(line.get("planned_stretch") or 1)
         every_s = self._periods.get((reading.drive, key_of(reading)))
         good_until_s = read_at_s + good_for_s(every_s, stretch)
         return FollowedValue(reading, read_at_s, good_until_s, heard_s)

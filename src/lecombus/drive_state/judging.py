@@ -7,8 +7,9 @@ How quality is decided, the first that fits:
 3. the last attempt failed, or what the drive answers is not what was asked for: `BAD` with its
    reason; the last value stays visible beside it;
 4. the drive is offline: `STALE`;
-5. older than allowed: `STALE`. A cyclic code may be twice its period (times the present stretch
-   of the cadence, fourfold at most) plus 1 s old; any other code 10 s, or what `fresh_for_s` says;
+5. older than allowed: `STALE`. A cyclic code may be twice its period (times the stretch that the
+   plan of the roster gives, fourfold at most) plus 1 s old, however late the line or the daemon is
+   at present; any other code 10 s, or what `fresh_for_s` says;
 6. otherwise `GOOD`.
 
 Nothing is stored beforehand: quality is calculated for each request, so that a value cannot stay
@@ -106,6 +107,7 @@ class LineRecord:
     state: LineState = LineState.CLOSED
     reason: str = ""
     stretch: float = 1.0
+    planned_stretch: float = 1.0
     remarks: dict[str, str] = field(default_factory=dict)
 
 
@@ -162,7 +164,9 @@ class Judge:
         """Return a snapshot of the line."""
         line = self._line
         remarks = MappingProxyType(dict(line.remarks))
-        return LineInfo(line.state, line.reason, line.since_s, line.stretch, remarks)
+        return LineInfo(
+            line.state, line.reason, line.since_s, line.stretch, line.planned_stretch, remarks
+        )
 
     def reading(self, record: DriveRecord, cell: Cell, now_s: float) -> Reading:
         """Return what is known of a code, as good as it is now."""
@@ -251,7 +255,7 @@ class Judge:
             if age_s > self._fresh_for_s:
                 return Quality.STALE, f"read {age_s:.1f} s ago, {NOT_CYCLIC}"
             return Quality.GOOD, None
-        allowed_s = good_for_s(cell.every_s, self._line.stretch)
+        allowed_s = good_for_s(cell.every_s, self._line.planned_stretch)
         if age_s > allowed_s:
             return Quality.STALE, f"read {age_s:.1f} s ago, {allowed_s:.1f} s allowed"
         return Quality.GOOD, None

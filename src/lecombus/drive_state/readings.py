@@ -260,13 +260,16 @@ class DriveInfo:
 
 @dataclass(frozen=True, slots=True)
 class LineInfo:
-    """The line: how it is doing, since when, and how far its cyclic cadence is stretched.
+    """The line: how it is doing, since when, and how far its cyclic reads are stretched.
 
     Args:
         state: How it is doing.
         reason: Why, in words; empty where nothing needs saying.
         since_s: Since when, Unix seconds.
-        stretch: 1 when every cyclic read keeps its period, 2 when each takes twice as long.
+        stretch: By what they were stretched of late: 1 when every cyclic read keeps its period, 2
+            when each takes twice as long.
+        planned_stretch: By what they are stretched if all drives answer, by the roster's plan: with
+            it values become stale.
         remarks: What stands to be said about it, by subject.
     """
 
@@ -274,6 +277,7 @@ class LineInfo:
     reason: str
     since_s: float
     stretch: float
+    planned_stretch: float
     remarks: Mapping[str, str]
 
     def as_json(self) -> dict[str, Json]:
@@ -283,5 +287,6 @@ class LineInfo:
             "reason": self.reason or None,
             "since": rfc3339(self.since_s),
             "stretch": seconds(self.stretch),
+            "planned_stretch": seconds(self.planned_stretch),
             "remarks": dict(self.remarks),
         }

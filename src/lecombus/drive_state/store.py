@@ -156,8 +156,12 @@ class Store:
             record.on_demand.pop(code, None)
 
     def set_stretch(self, stretch: float) -> None:
-        """Say how far the cyclic cadence is stretched at present, 1 or more."""
+        """Say how far the cyclic reads were stretched of late, 1 or more; it is only shown."""
         self._line.stretch = max(1.0, stretch)
+
+    def plan_stretch(self, stretch: float) -> None:
+        """Say how far the plan of the roster stretches them, 1 or more: values are judged by it."""
+        self._line.planned_stretch = max(1.0, stretch)
 
     # -- what `StoreRecord` says of exchanges ----------------------------------------------------
 
