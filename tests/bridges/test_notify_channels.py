@@ -28,7 +28,7 @@ from lecombus.bridges.notify.channels import (
     channels_of,
 )
 from lecombus.bridges.notify.conditions import Happening
-from lecombus.bridges.notify.messages import Message, Pending, message_of
+from lecombus.bridges.notify.messages import Notification, Pending, message_of
 from lecombus.roster import MailEntry, NotifyEntry
 from support.certificates import Certificates, make_certificates
 from support.daemon_host import free_port, until
@@ -42,18 +42,18 @@ pytestmark = [
 PASSWORD = "hunter2-Ω"
 
 
-def message() -> Message:
+def message() -> Notification:
     pending = Pending(ends=True)
     pending.add(Happening("trip", "feeder", True, "trip OH (50): Kühlkörper zu heiß", 1.0))
     entries, dropped = pending.take()
     return message_of("hall-3", entries, dropped, 1_795_000_000.0)
 
 
-def send(channel: Channel, what: Message | None = None) -> None:
+def send(channel: Channel, what: Notification | None = None) -> None:
     anyio.run(channel.send, what or message())
 
 
-def refusal(channel: Channel, what: Message | None = None) -> str:
+def refusal(channel: Channel, what: Notification | None = None) -> str:
     """Why a message was not sent."""
     with pytest.raises(NotSentError) as caught:
         send(channel, what)
@@ -103,7 +103,7 @@ def test_a_command_that_is_not_there_says_so(tmp_path: Path) -> None:
 
 
 def test_a_command_that_reads_nothing_and_says_very_much_is_no_trouble(tmp_path: Path) -> None:
-    long = Message("hall-3", "s", "x" * 3_000_000, (), 1.0)
+    long = Notification("hall-3", "s", "x" * 3_000_000, (), 1.0)
     send(CommandChannel((script(tmp_path, "exec true"),), 10.0), long)
     noisy = script(tmp_path, "head -c 3000000 /dev/zero | tr '\\0' x >&2; exit 1")
     assert len(refusal(CommandChannel((noisy,), 20.0))) < 500

@@ -16,7 +16,7 @@ from lecombus.bridges.notify.conditions import Happening
 from lecombus.bridges.notify.messages import (
     MOST_ENTRIES,
     Limiter,
-    Message,
+    Notification,
     Pending,
     message_of,
     trial_message,
@@ -34,7 +34,7 @@ def trip(drive: str = "feeder", at_s: float = MADE_S, *, active: bool = True) ->
     return Happening("trip", drive, active, text, at_s, OH if active else None)
 
 
-def message(*happenings: Happening, ends: bool = True) -> Message:
+def message(*happenings: Happening, ends: bool = True) -> Notification:
     pending = Pending(ends=ends)
     for one in happenings:
         pending.add(one)
@@ -153,9 +153,9 @@ class Channel:
         self.takes_s = takes_s
         self.fails = fails
         self.tries: list[float] = []
-        self.sent: list[tuple[float, Message]] = []
+        self.sent: list[tuple[float, Notification]] = []
 
-    async def send(self, message: Message) -> None:
+    async def send(self, message: Notification) -> None:
         self.tries.append(anyio.current_time())
         await anyio.sleep(self.takes_s)
         if self.fails:

@@ -38,8 +38,7 @@ from lecombus.api.request_models import (
 from lecombus.backups.backup_file import read_backup, write_backup
 from lecombus.bridges.mqtt import commands as mqtt_commands
 from lecombus.bridges.mqtt.broker import Incoming
-from lecombus.bridges.mqtt.command_bodies import RefusedError as CommandRefusedError
-from lecombus.bridges.mqtt.command_bodies import body_of, expiry_of
+from lecombus.bridges.mqtt.command_bodies import CommandRefusedError, body_of, expiry_of
 from lecombus.bridges.mqtt.topics import Topics
 from lecombus.config import RosterError, load_roster, parse_roster
 from lecombus.config.describing import describe

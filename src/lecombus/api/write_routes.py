@@ -19,6 +19,7 @@ from typing import Final
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from lecombus.api.answers import (
     ProblemDocument,
@@ -29,7 +30,7 @@ from lecombus.api.answers import (
 )
 from lecombus.api.decimal_json import short
 from lecombus.api.idempotency import Idempotency, SharedStops, key_mistake, keys_of, time_left_s
-from lecombus.api.limits import STOP_PATH
+from lecombus.api.limits import STOP_PATH, is_stop
 from lecombus.api.refusals import AskedWrite, Refusals
 from lecombus.api.request_checks import code_of, read_body, read_stop, refuse_query
 from lecombus.api.request_models import (
@@ -47,7 +48,7 @@ from lecombus.drives import Verb
 from lecombus.operations.awaited_requests import refuse_for_gone_client
 from lecombus.operations.facade import Operations
 
-__all__ = ["StopRoutes", "WriteRoutes"]
+__all__ = ["StopRoutes", "WriteRoutes", "with_plain_stop_paths"]
 
 BODIES: Final[Mapping[Verb, type[VerbBody]]] = {
     Verb.ENABLE: VerbBody,
@@ -310,3 +311,15 @@ def ignored_of(request: Request) -> tuple[str, ...]:
         key_mistake(keys_of(request)),
     )
     return tuple(one for one in said if one)
+
+
+def with_plain_stop_paths(app: ASGIApp) -> ASGIApp:
+    """Remove extra slashes around the path of a stop; the router would not find it."""
+
+    async def answer(scope: Scope, receive: Receive, send: Send) -> None:
+        path = scope["path"] if scope["type"] == "http" else ""
+        if is_stop(path) and path != (plain := f"/{path.strip('/')}"):
+            scope = {**scope, "path": plain}
+        await app(scope, receive, send)
+
+    return answer

@@ -11,7 +11,7 @@ from lecombus.bridges.mqtt.topics import CommandTopic
 from lecombus.client.connection import Json
 from lecombus.durations import LEAST_EXPIRY_S, LONGEST_EXPIRY_S, parse_duration
 
-__all__ = ["RefusedError", "body_of", "busy", "expired", "expiry_of"]
+__all__ = ["CommandRefusedError", "body_of", "busy", "expired", "expiry_of"]
 
 DIGITS: Final = 40
 LARGEST: Final = 10**DIGITS
@@ -20,7 +20,7 @@ EXPIRES_S: Final = 5.0
 """How long a command may wait that does not say it."""
 
 
-class RefusedError(Exception):
+class CommandRefusedError(Exception):
     """A command that is not carried out.
 
     Args:
@@ -38,21 +38,23 @@ class RefusedError(Exception):
         }  # fmt: skip
 
 
-def busy() -> RefusedError:
+def busy() -> CommandRefusedError:
     """Return the refusal of one command too many."""
-    return RefusedError("busy", "too many commands for this drive wait already", "send fewer")
+    return CommandRefusedError(
+        "busy", "too many commands for this drive wait already", "send fewer"
+    )
 
 
-def expired(reason: str) -> RefusedError:
+def expired(reason: str) -> CommandRefusedError:
     """Return the refusal of a command whose time is over."""
-    return RefusedError("expired", reason, "send it again if it is still wanted", "expired")
+    return CommandRefusedError("expired", reason, "send it again if it is still wanted", "expired")
 
 
 def expiry_of(incoming: Incoming, document: dict[str, Json]) -> float:
     """Return how long a command may wait, seconds; takes its `expires` out of the document.
 
     Raises:
-        RefusedError: `expires` is no duration, or it is over.
+        CommandRefusedError: `expires` is no duration, or it is over.
     """
     said_s = EXPIRES_S if incoming.expiry_s is None else float(incoming.expiry_s)
     if (given := document.pop("expires", None)) is not None:
@@ -70,7 +72,7 @@ def body_of(topic: CommandTopic, payload: bytes) -> dict[str, Json]:
     """Return what a payload says: a JSON object, or a plain value.
 
     Raises:
-        RefusedError: It says nothing that can be meant.
+        CommandRefusedError: It says nothing that can be meant.
     """
     try:
         text = payload.decode().strip()
@@ -96,7 +98,7 @@ def object_of(text: str) -> dict[str, Json]:
     """Return a JSON object with its decimals exactly; each key once.
 
     Raises:
-        RefusedError: It is none.
+        CommandRefusedError: It is none.
     """
 
     def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -118,7 +120,7 @@ def plain(key: str, value: Json) -> Json:
     """Return a value that can stand in a request: text, or a number that a drive could have.
 
     Raises:
-        RefusedError: It is a list, an object, no Unicode text, or has very many digits.
+        CommandRefusedError: It is a list, an object, no Unicode text, or has very many digits.
     """
     if isinstance(value, str) and (value.isascii() or value.isprintable()):
         return value
@@ -153,6 +155,6 @@ def number_or_text(text: str) -> Json:
     return found if isinstance(found, int | Decimal) and not isinstance(found, bool) else text
 
 
-def bad(reason: str) -> RefusedError:
+def bad(reason: str) -> CommandRefusedError:
     """Return the refusal of a payload."""
-    return RefusedError("bad-value", reason)
+    return CommandRefusedError("bad-value", reason)

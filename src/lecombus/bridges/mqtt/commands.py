@@ -38,7 +38,7 @@ from anyio.abc import TaskGroup
 
 from lecombus.bridges.mqtt.broker import Incoming
 from lecombus.bridges.mqtt.command_bodies import (
-    RefusedError,
+    CommandRefusedError,
     body_of,
     busy,
     expired,
@@ -52,7 +52,7 @@ from lecombus.client.connection import BY, KEY, AnswerLostError, Json
 from lecombus.client.documents import Answer
 from lecombus.client.requests import code_text, expires_document, path_of
 
-__all__ = ["Commands", "Pulse", "RefusedError"]
+__all__ = ["CommandRefusedError", "Commands", "Pulse"]
 
 STOPS: Final = ("quick-stop", "inhibit")
 VERBS: Final = (*STOPS, "enable", "set-speed", "reset-fault")
@@ -90,7 +90,7 @@ class Pulse:
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class CommandRequest:
     """What a command asks of the daemon.
 
     Args:
@@ -203,7 +203,7 @@ class Commands:
             document = self._answer_before(incoming) or await self._ask(
                 await self._request(incoming, topic)
             )
-        except RefusedError as exc:
+        except CommandRefusedError as exc:
             document = exc.document
         if incoming.correlation is not None:
             self._seen.ended(key_of(incoming), document)
@@ -225,28 +225,30 @@ class Commands:
 
     # -- what is asked ---------------------------------------------------------------------------
 
-    async def _request(self, incoming: Incoming, topic: CommandTopic) -> Request:
+    async def _request(self, incoming: Incoming, topic: CommandTopic) -> CommandRequest:
         """Return what a command asks of the daemon, and keep that it came.
 
         Raises:
-            RefusedError: It is not carried out.
+            CommandRefusedError: It is not carried out.
         """
         if incoming.is_retained:
-            raise RefusedError(
+            raise CommandRefusedError(
                 "retained", "a retained command is never carried out: it would come again",
                 "send it without the retain flag, and remove the one that stands at the broker",
             )  # fmt: skip
         if topic.what == "do" and topic.name not in VERBS:
-            raise RefusedError("no-verb", f"there is no verb {topic.name[:60]}", ", ".join(VERBS))
+            raise CommandRefusedError(
+                "no-verb", f"there is no verb {topic.name[:60]}", ", ".join(VERBS)
+            )
         if topic.what == "do" and topic.name in STOPS:
             return self._stop(incoming, topic)
         if not self._control:
-            raise RefusedError(
+            raise CommandRefusedError(
                 "not-permitted", "the MQTT bridge of this line carries out stops only",
                 "write `control: true` under `mqtt` of the roster",
             )  # fmt: skip
         if incoming.qos == 1 and incoming.correlation is None:
-            raise RefusedError(
+            raise CommandRefusedError(
                 "no-key", "with QoS 1 a command may come twice, and this one has nothing that "
                 "would show it", "send it with QoS 2, or give it correlation data of its own",
             )  # fmt: skip
@@ -266,11 +268,11 @@ class Commands:
                 else:
                     self._seen.note(key)
             except OSError as exc:
-                raise RefusedError(
+                raise CommandRefusedError(
                     "not-kept", f"it cannot be kept that this command came: {exc}",
                     "look at the disk, or send it with QoS 2 and without correlation data",
                 ) from exc  # fmt: skip
-        return Request(
+        return CommandRequest(
             "PUT" if topic.what == "set" else "POST", path,
             {**document, **expires_document(expires_s)}, key, asked_s, asked_s + expires_s,
         )  # fmt: skip
@@ -279,27 +281,27 @@ class Commands:
         """Return the path of what a command asks for.
 
         Raises:
-            RefusedError: Nothing can have this name.
+            CommandRefusedError: Nothing can have this name.
         """
         is_group = topic.what == "set" and not self._is_drive(topic.target)
         try:
             path = path_of("group" if is_group else "drive", topic.target)
         except ProblemError as exc:
-            raise RefusedError("no-such-drive", exc.problem, exc.remedy) from exc
+            raise CommandRefusedError("no-such-drive", exc.problem, exc.remedy) from exc
         if topic.what == "set":
             return f"{path}/codes/{code_of(topic.name)}"
         return f"{path}/verbs/{topic.name}"
 
-    def _stop(self, incoming: Incoming, topic: CommandTopic) -> Request:
+    def _stop(self, incoming: Incoming, topic: CommandTopic) -> CommandRequest:
         """Return a stop, whatever else the message says."""
         document: dict[str, Json] = {"action": topic.name, "target": topic.target}
-        return Request("POST", "/v1/stop", document, uuid4().hex, incoming.came_s, inf)
+        return CommandRequest("POST", "/v1/stop", document, uuid4().hex, incoming.came_s, inf)
 
-    async def _ask(self, request: Request) -> dict[str, Any]:
+    async def _ask(self, request: CommandRequest) -> dict[str, Any]:
         """Have it carried out.
 
         Raises:
-            RefusedError: It is not carried out.
+            CommandRefusedError: It is not carried out.
         """
         now_s = anyio.current_time()
         if now_s >= request.until_s:
@@ -316,7 +318,7 @@ class Commands:
             return {"outcome": "unknown", "kind": "answer-lost", "reason": exc.problem,
                     "remedy": remedy}  # fmt: skip
         except (UnreachableError, NotPermittedError) as exc:
-            raise RefusedError("daemon-away", exc.problem, exc.remedy) from exc
+            raise CommandRefusedError("daemon-away", exc.problem, exc.remedy) from exc
         return document_of(answer)
 
     # -- what is answered ------------------------------------------------------------------------
@@ -371,12 +373,12 @@ def code_of(name: str) -> str:
     """Return a code as it stands in a path.
 
     Raises:
-        RefusedError: It is none.
+        CommandRefusedError: It is none.
     """
     try:
         return code_text(name)
     except ValueError as exc:
-        raise RefusedError("no-such-code", str(exc)) from exc
+        raise CommandRefusedError("no-such-code", str(exc)) from exc
 
 
 def document_of(answer: Answer) -> dict[str, Any]:

@@ -20,7 +20,13 @@ import httpx2
 from lecombus.bridges.line_follower import LineFollower
 from lecombus.bridges.notify.channels import Channel, NotSentError, channels_of
 from lecombus.bridges.notify.conditions import Conditions, Happening
-from lecombus.bridges.notify.messages import Limiter, Message, Pending, message_of, trial_message
+from lecombus.bridges.notify.messages import (
+    Limiter,
+    Notification,
+    Pending,
+    message_of,
+    trial_message,
+)
 from lecombus.client import ClientError, connect
 from lecombus.roster import NotifyEntry, Roster
 
@@ -93,7 +99,7 @@ class Sender:
             log_sent(self._channel, message)
 
 
-def log_sent(channel: Channel, message: Message) -> None:
+def log_sent(channel: Channel, message: Notification) -> None:
     """Log a message that was sent, by its subject."""
     logger.info(
         "event=message-sent channel=%s entries=%d subject=%s",

@@ -24,7 +24,7 @@ from typing import Final, Protocol
 import anyio
 import anyio.abc
 
-from lecombus.bridges.notify.messages import Message, clean, local
+from lecombus.bridges.notify.messages import Notification, clean, local
 from lecombus.roster import MailEntry, NotifyEntry
 
 __all__ = ["Channel", "CommandChannel", "MailServerChannel", "NotSentError", "channels_of"]
@@ -56,7 +56,7 @@ class Channel(Protocol):
 
     name: str
 
-    async def send(self, message: Message) -> None:
+    async def send(self, message: Notification) -> None:
         """Send a message.
 
         Raises:
@@ -78,7 +78,7 @@ class CommandChannel:
         self._words = words
         self._time_s = time_s
 
-    async def send(self, message: Message) -> None:
+    async def send(self, message: Notification) -> None:
         """Run the command; an exit status of 0 says that the message was sent."""
         document = json.dumps(message.as_json(), ensure_ascii=False, default=str)
         await run_program(self._words, document.encode(), self._time_s, variables(message))
@@ -98,7 +98,7 @@ class SendmailChannel:
         self._entry = entry
         self._program = program
 
-    async def send(self, message: Message) -> None:
+    async def send(self, message: Notification) -> None:
         """Give the mail to sendmail; it delivers it when it can."""
         words = (self._program, "-i", "-f", self._entry.sender, "--", *self._entry.to)
         mail = mail_of(message, self._entry).as_bytes()
@@ -117,7 +117,7 @@ class MailServerChannel:
     def __init__(self, entry: MailEntry) -> None:
         self._entry = entry
 
-    async def send(self, message: Message) -> None:
+    async def send(self, message: Notification) -> None:
         """Send the mail; a receiver that the server refuses is a mail that was not sent to it."""
         try:
             import aiosmtplib
@@ -156,7 +156,7 @@ def channels_of(entry: NotifyEntry) -> list[Channel]:
     return found
 
 
-def variables(message: Message) -> dict[str, str]:
+def variables(message: Notification) -> dict[str, str]:
     """Return what a command finds in its environment, for simple scripts."""
     drives = sorted({entry.drive for entry in message.entries if entry.drive})
     events = dict.fromkeys(entry.event for entry in message.entries)
@@ -171,7 +171,7 @@ def variables(message: Message) -> dict[str, str]:
     }
 
 
-def mail_of(message: Message, entry: MailEntry) -> EmailMessage:
+def mail_of(message: Notification, entry: MailEntry) -> EmailMessage:
     """Return a message as a mail."""
     mail = EmailMessage()
     mail["From"] = entry.sender

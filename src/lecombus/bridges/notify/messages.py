@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from lecombus.bridges.notify.conditions import Happening
 
-__all__ = ["Limiter", "Message", "MessageEntry", "Pending", "message_of", "trial_message"]
+__all__ = ["Limiter", "MessageEntry", "Notification", "Pending", "message_of", "trial_message"]
 
 MOST_ENTRIES: Final = 1000
 """Six kinds of event for 90 drives, and as much for drives that left the roster."""
@@ -88,7 +88,7 @@ class MessageEntry:
 
 
 @dataclass(frozen=True, slots=True)
-class Message:
+class Notification:
     """One message.
 
     Args:
@@ -203,7 +203,7 @@ class Limiter:
 
 def message_of(
     line: str, entries: tuple[MessageEntry, ...], dropped: int, made_s: float
-) -> Message:
+) -> Notification:
     """Return the message of what happened on a line."""
     subject = f"{line}: {headline(entries)}"
     lines = [f"Line {line}, {local(made_s):%Y-%m-%d %H:%M:%S %z}", ""]
@@ -217,13 +217,13 @@ def message_of(
         lines += ["", "What to do:"]
         lines += [f"- {one}: {what}" for one, _, what in advice.values()]
     text = "\n".join(map(clean, lines)) + "\n"
-    return Message(line, clean(subject)[:200], text, entries, made_s, dropped)
+    return Notification(line, clean(subject)[:200], text, entries, made_s, dropped)
 
 
-def trial_message(line: str, made_s: float) -> Message:
+def trial_message(line: str, made_s: float) -> Notification:
     """Return a message that only shows that messages arrive."""
     text = f"This is a test of the messages of line {line}. Nothing has happened.\n"
-    return Message(line, f"{line}: test message", text, (), made_s, is_test=True)
+    return Notification(line, f"{line}: test message", text, (), made_s, is_test=True)
 
 
 def headline(entries: tuple[MessageEntry, ...]) -> str:
