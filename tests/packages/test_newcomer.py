@@ -13,6 +13,7 @@ from concurrent.futures import Future
 from pathlib import Path
 
 import pytest
+import yaml
 
 from support.debian_root import DebianRoot, make_root
 from support.package_build import with_version
@@ -33,6 +34,7 @@ UNIT = "lecombus@hall-3.service"
 OPERATOR, VISITOR = "anna", "visitor"
 """Users: one is a member of the group lecombus, one is not."""
 
+PROMETHEUS = "127.0.0.1:9090"
 ENDS_WITHIN_S = 60.0
 LOOK_AGAIN_S = 0.3
 SCRAPE = """
@@ -141,6 +143,47 @@ def scrape(root: DebianRoot) -> None:
         assert f'lecombus_drive_up{{line="hall-3",drive="{drive}"}} 1' in page
 
 
+def watch(root: DebianRoot) -> None:
+    """A Prometheus of this machine in the system's network, with the package's job and rules.
+
+    It looks more often than a user's, and alerts do not wait.
+    """
+    shipped, place = root.path("/usr/share/lecombus/prometheus"), root.path("/srv/prometheus")
+    place.mkdir()
+    config = yaml.safe_load((shipped / "prometheus.yml").read_text())
+    config["global"] = dict.fromkeys(("scrape_interval", "evaluation_interval"), "500ms")
+    token = str(root.path("/srv/prometheus.token"))
+    config["scrape_configs"][0]["authorization"] = {"credentials_file": token}
+    (place / "prometheus.yml").write_text(yaml.safe_dump(config))
+    (rules,) = config["rule_files"]
+    text = (shipped / rules).read_text()
+    (place / rules).write_text(re.sub(r"\bfor: \w+", "for: 500ms", text))
+    root.start_ours(
+        require("prometheus"), f"--config.file={place / 'prometheus.yml'}",
+        f"--storage.tsdb.path={place / 'data'}", f"--web.listen-address={PROMETHEUS}",
+    )  # fmt: skip
+    until(lambda: "lecombus_drive_up" in ask(root, "lecombus_drive_up == 1"), "it has scraped")
+
+
+def ask(root: DebianRoot, query: str) -> str:
+    words = (require("promtool"), "query", "instant", f"http://{PROMETHEUS}", query)
+    return root.run_ours(*words, status=None)  # it may not listen yet
+
+
+def fires(root: DebianRoot, alert: str) -> bool:
+    return "firing" in ask(root, f'ALERTS{{alertname="{alert}", alertstate="firing"}}')
+
+
+def trip(root: DebianRoot) -> None:
+    """A drive trips, its alert fires, and the fault is reset."""
+    assert not fires(root, "LecombusDriveTripped")
+    simulator(root, "trip feeder 50")
+    until(lambda: fires(root, "LecombusDriveTripped"), "the alert of the trip")
+    assert 'drive="feeder"' in ask(root, "ALERTS{alertname='LecombusDriveTripped'}")
+    assert "50" in root.run("lecombus", "why", "feeder", user=OPERATOR)
+    assert "verified" in root.run("lecombus", "reset-fault", "feeder", user=OPERATOR)
+
+
 def write(root: DebianRoot) -> None:
     words = ("lecombus", "write", "feeder", "C0046", "20", "--verify")
     assert "feeder\tC0046\tverified\t20 Hz" in root.run(*words, user=OPERATOR)
@@ -187,6 +230,7 @@ def unplug(root: DebianRoot) -> None:
     running = process(root)
     simulator(root, "unplug")
     until(lambda: "online" not in states(root).values(), "no drive online")
+    until(lambda: fires(root, "LecombusLineLost"), "the alert of the line")
     root.run("lecombus", "write", "feeder", "C0046", "21", user=OPERATOR, status=1)
     simulator(root, "plug")
     all_online(root)
@@ -268,6 +312,8 @@ def take_the_path(root: DebianRoot, package: Path, newer: Path, *, detours: bool
     connect_drives(root)
     start(root)
     scrape(root)
+    watch(root)
+    trip(root)
     write(root)
     use_mqtt(root)
     back_up(root)

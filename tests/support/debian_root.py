@@ -195,14 +195,20 @@ class DebianRoot:
         self._beside.append(process)
         return process
 
-    def run_ours(self, *words: str | Path) -> str:
-        """Run a program of this machine in the system's network, and return what it says."""
+    def run_ours(self, *words: str | Path, status: int | None = 0) -> str:
+        """Run a program of this machine in the system's network, and return what it says.
+
+        Args:
+            words: The program and its arguments.
+            status: The exit status that is expected; None: any.
+        """
         done = subprocess.run(
             [str(word) for word in self._in_network(words)],
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
             text=True, timeout=DONE_WITHIN_S, check=False,
         )  # fmt: skip
-        assert done.returncode == 0, f"{words}: {done.returncode}\n{done.stdout}"
+        failed = f"{words}: {done.returncode}\n{done.stdout}"
+        assert status is None or done.returncode == status, failed
         return done.stdout
 
     def _in_network(self, words: Sequence[str | Path]) -> list[str | Path]:
