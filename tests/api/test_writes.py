@@ -630,6 +630,85 @@ async def test_what_may_be_tried_later_is_not_kept() -> None:
     assert kept.rows == {}
 
 
+async def slip() -> Response:
+    raise RuntimeError("a mistake in lecombus")
+
+
+async def test_after_a_mistake_in_lecombus_a_repeat_gets_the_same_answer_and_does_nothing(
+    client: httpx2.AsyncClient, line: Line
+) -> None:
+    line.ops.error = RuntimeError("a mistake in lecombus")
+    first = await put(client, '{"value": 1}', key="a")
+    line.ops.error = None
+    again = await put(client, '{"value": 1}', key="a")
+    assert (first.status_code, first.json()["outcome"]) == (500, "unknown")
+    assert (again.status_code, again.text) == (500, first.text)
+    assert len(line.ops.asked) == 1
+    assert (await put(client, '{"value": 1}', key="b")).status_code == 200
+
+
+async def test_who_waits_for_a_request_that_ends_in_a_mistake_gets_its_answer() -> None:
+    keys = Idempotency(lambda: 0.0)
+    gate = anyio.Event()
+    done: list[str] = []
+    answers: list[int] = []
+
+    async def act() -> Response:
+        done.append("first")
+        await gate.wait()
+        return await slip()
+
+    async def other() -> Response:
+        done.append("second")
+        return Response("x")
+
+    async def ask() -> None:
+        answers.append((await keys.run(keyed("k"), b"", other)).status_code)
+
+    async def first() -> None:
+        with pytest.raises(RuntimeError):
+            await keys.run(keyed("k"), b"", act)
+
+    with anyio.fail_after(10):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(first)
+            await anyio.wait_all_tasks_blocked()
+            tasks.start_soon(ask)
+            await anyio.wait_all_tasks_blocked()
+            gate.set()
+    assert (done, answers) == (["first"], [500])
+
+
+async def test_what_ended_in_a_mistake_is_known_after_a_restart() -> None:
+    kept = KeptKeys()
+    keys = Idempotency(lambda: 0.0, cast(Journal, kept))
+    with pytest.raises(RuntimeError):
+        await keys.run(keyed("k"), b"x", slip)
+    later = Idempotency(lambda: 5.0, cast(Journal, kept), list(kept.rows.values()))
+    again = await later.run(keyed("k"), b"x", slip)
+    assert again.status_code == 500
+    assert "RuntimeError while answering" in bytes(again.body).decode()
+
+
+async def test_a_request_that_was_cancelled_is_not_carried_out_again() -> None:
+    """It may have been sent: cancelling it ends the waiting, not the write."""
+    kept = KeptKeys()
+    keys = Idempotency(lambda: 0.0, cast(Journal, kept))
+    done: list[str] = []
+
+    async def act() -> Response:
+        done.append("act")
+        await anyio.sleep_forever()
+        raise AssertionError
+
+    with anyio.move_on_after(0.01):
+        await keys.run(keyed("k"), b"x", act)
+    with anyio.fail_after(5.0):
+        answer = await keys.run(keyed("k"), b"x", act)
+    assert done == ["act"]
+    assert (answer.status_code, json.loads(bytes(answer.body))["outcome"]) == (504, "unknown")
+
+
 async def test_a_refusal_is_known_after_a_restart() -> None:
     kept = KeptKeys()
     keys = Idempotency(lambda: 0.0, cast(Journal, kept))

@@ -16,10 +16,13 @@ from lecombus.api.decimal_json import short
 from lecombus.errors import LecombusError
 from lecombus.schedule import Outcome
 
-__all__ = ["ERROR_ANSWERS", "known_error"]
+__all__ = ["ERROR_ANSWERS", "known_error", "unexpected_error"]
 
 WRONG_REQUESTS: Final = frozenset((400, 401, 404, 405, 413, 414, 421, 422, 431))
 """Statuses of a request that is none: what it asks for cannot be written at all."""
+
+INTERNAL: Final = "internal"
+"""The kind of an error that no part of lecombus raises on purpose: what was done is not known."""
 
 
 async def known_error(request: Request, exc: Exception) -> Response:
@@ -28,6 +31,8 @@ async def known_error(request: Request, exc: Exception) -> Response:
     place = request.path_params
     code = "/".join(place[part] for part in ("code", "subcode") if place.get(part))
     problem = problem_of(exc, drive=short(place.get("drive", "")), code=short(code))
+    if is_write(request) and problem.kind == INTERNAL:
+        problem = replace(problem, outcome=Outcome.UNKNOWN.value)
     if is_write(request) and problem.status not in WRONG_REQUESTS and not problem.outcome:
         more = {**problem.more, "sent": False}
         problem = replace(problem, outcome=Outcome.REFUSED.value, more=more)
@@ -67,7 +72,7 @@ async def not_routed(request: Request, exc: Exception) -> Response:
 async def unexpected_error(request: Request, exc: Exception) -> Response:
     """Answer an error that is a mistake in lecombus; it is raised again for the log."""
     return ProblemDocument(
-        "internal",
+        INTERNAL,
         f"{type(exc).__name__} while answering {short(request.url.path)}",
         outcome=Outcome.UNKNOWN.value if is_write(request) else "",
         remedy="this is a mistake in lecombus: please report it with the daemon's log",

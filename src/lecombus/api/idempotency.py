@@ -3,10 +3,10 @@
 Strategy: the first request with a key runs; others with the same key and the same content wait
 for its end if need be and are given the same response; the same key with other content is
 refused. Every final answer is remembered, also a refusal: what was refused once, such as an
-enable of a latched drive, must not happen because an old request is repeated. What only says
-"later" (`TRY_LATER`: queue full, line lost, refused too often, the client gone) and an
-error in lecombus are not: the same key may be tried again, and a request that waited for such a
-first one takes its place.
+enable of a latched drive, must not happen because an old request is repeated. An error in lecombus
+is remembered too, and so is the end of a request that was cancelled: each may have been sent. What
+only says "later" (`TRY_LATER`: queue full, line lost, refused too often, the client gone) is not:
+the same key may be tried again, and a request that waited for such a first one takes its place.
 
 Stops are different (`SharedStops`): a repeat shares the first one's result only while that is under
 way. Afterwards the drive may have been started again, so a repeat is a new stop and is sent; and
@@ -38,7 +38,7 @@ from starlette.responses import Response
 
 from lecombus.api.answers import STATUS_BY_KIND, ProblemDocument, RefusedRequestError
 from lecombus.api.decimal_json import short
-from lecombus.api.error_answers import known_error
+from lecombus.api.error_answers import known_error, unexpected_error
 from lecombus.errors import LecombusError
 from lecombus.journal.journal import Journal
 from lecombus.journal.journal_file import JournalFileError
@@ -72,6 +72,13 @@ restart is answered by `unknown` then. All keys together take less than half of 
 CLIENT_GONE: Final = STATUS_BY_KIND["client-gone"][0]
 TRY_LATER: Final = frozenset((CLIENT_GONE, 429, 503))
 """Statuses of refusals after which the same request, with the same key, may be sent again."""
+
+OPEN_END: Final = ProblemDocument(
+    "unknown",
+    "lecombus ended this, or itself, while it was under way: whether it was done is not known",
+    remedy="look at the drive, then ask for it again with a new key",
+    outcome=Outcome.UNKNOWN.value,
+)
 
 
 @dataclass(slots=True, eq=False)
@@ -117,6 +124,7 @@ class Idempotency:
             request: The request.
             body: Its body.
             act: Carries it out; what it raises is answered, and remembered unless `TRY_LATER`.
+                An error that is a mistake in lecombus is raised again, for the log.
 
         Raises:
             ProblemError: The key was used for another request, is malformed or one of two, or too
@@ -135,7 +143,7 @@ class Idempotency:
             if entry.response is not None:
                 return entry.response
         self._go_back(ago_s)
-        return await self._first(key, content, lambda: answer_of(request, act))
+        return await self._first(request, key, content, lambda: answer_of(request, act))
 
     def _go_back(self, ago_s: float) -> None:
         """Let a repeat count as asked for when it was asked for first.
@@ -160,27 +168,36 @@ class Idempotency:
         CAME_S.set(asked_s)
 
     async def _first(
-        self, key: str, content: bytes, act: Callable[[], Awaitable[Response]]
+        self, request: Request, key: str, content: bytes, act: Callable[[], Awaitable[Response]]
     ) -> Response:
         self._entries.pop(key, None)  # so that keys stand in the order of their age
         self._make_room()
         entry = self._entries[key] = Entry(content, self._clock())
         if self._journal is not None:
             self._journal.keep(KeyRow(key, content))
+        later = False
         try:
-            response = await act()
-            if response.status_code != CLIENT_GONE:
-                entry.response = response
+            entry.response = response = await act()
+            later = response.status_code == CLIENT_GONE
+            if not later:
                 await self._keep(key, content, response)
-            else:
-                self._forget(key)
             return response
-        except Exception:  # of any kind: later, or a mistake in lecombus
-            self._forget(key)
+        except LecombusError:  # `answer_of` lets pass only what was not done
+            later = True
+            raise
+        except Exception as exc:  # a mistake in lecombus: what was done is not known
+            if entry.response is None:
+                entry.response = await unexpected_error(request, exc)
+                await self._keep(key, content, entry.response)
             raise
         finally:
-            if entry.response is None and self._entries.get(key) is entry:
-                del self._entries[key]
+            if later:
+                entry.response = None
+                self._forget(key)
+                if self._entries.get(key) is entry:
+                    del self._entries[key]
+            elif entry.response is None:  # cancelled: what was sent by then is not known
+                entry.response = OPEN_END.response()
             entry.ended.set()
 
     async def _keep(self, key: str, content: bytes, response: Response) -> None:
@@ -238,13 +255,7 @@ def entry_of(row: KeyRow, now_s: float) -> Entry:
     ended = anyio.Event()
     ended.set()
     if row.status is None:
-        problem = ProblemDocument(
-            "unknown",
-            "lecombus ended while this was under way: whether it was done is not known",
-            remedy="look at the drive, then ask for it again with a new key",
-            outcome=Outcome.UNKNOWN.value,
-        )
-        return Entry(row.content, now_s, ended, problem.response())
+        return Entry(row.content, now_s, ended, OPEN_END.response())
     response = Response(row.body, row.status, media_type=row.type or None)
     return Entry(row.content, now_s, ended, response)
 
