@@ -17,7 +17,7 @@ from pathlib import Path
 
 import anyio
 
-from lecombus.client import Line, connect
+from lecombus.client import ClientError, Line, connect
 
 
 async def log_to_csv(
@@ -78,5 +78,7 @@ def words() -> tuple[Path, list[tuple[str, str]]]:
 if __name__ == "__main__":
     try:
         anyio.run(main, *words())
-    except (ValueError, OSError) as exc:
+    except (ClientError, ValueError, OSError) as exc:
         sys.exit(str(exc))
+    except KeyboardInterrupt:
+        sys.exit(130)

@@ -15,7 +15,7 @@ from collections.abc import Iterable
 
 import anyio
 
-from lecombus.client import Drive, Line, connect
+from lecombus.client import ClientError, Drive, Line, connect
 
 LEASE_S = 2.0
 STEP_HZ = 2.5
@@ -93,5 +93,19 @@ def words() -> tuple[list[str], float]:
     return sys.argv[2:], speed_hz
 
 
+def run(names: list[str], speed_hz: float) -> None:
+    """Run it, and end with what is wrong; of drives that failed together, with each."""
+    problems: list[str] = []
+    try:
+        anyio.run(main, names, speed_hz)
+    except* ClientError as group:
+        problems = [str(error) for error in group.exceptions]
+    if problems:
+        sys.exit("\n".join(problems))
+
+
 if __name__ == "__main__":
-    anyio.run(main, *words())
+    try:
+        run(*words())
+    except KeyboardInterrupt:
+        sys.exit(130)

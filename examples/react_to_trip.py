@@ -8,12 +8,13 @@ may not run.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from contextlib import aclosing
 
 import anyio
 
-from lecombus.client import Line, connect
+from lecombus.client import ClientError, Line, connect
 
 
 async def stop_all(line: Line, cause: str, say: Callable[[str], object]) -> None:
@@ -62,4 +63,9 @@ async def main() -> None:
 
 
 if __name__ == "__main__":
-    anyio.run(main)
+    try:
+        anyio.run(main)
+    except ClientError as exc:
+        sys.exit(str(exc))
+    except KeyboardInterrupt:
+        sys.exit(130)

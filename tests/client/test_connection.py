@@ -147,6 +147,21 @@ def test_a_question_is_repeated_once_without_a_key() -> None:
     assert all("idempotency-key" not in request.headers for request in script.asked)
 
 
+@pytest.mark.usefixtures("clock")
+@pytest.mark.parametrize("first", [None, broken])
+def test_a_proxy_that_lost_the_answer_leaves_the_outcome_unknown(first: Handler | None) -> None:
+    bad = httpx2.Response(502, text="<html>Bad Gateway</html>")
+    script = Script(first, bad) if first is not None else Script(bad)
+    line = line_of(httpx2.MockTransport(script))
+
+    async def work() -> None:
+        result = await line.drive("feeder").enable()
+        assert (result.outcome, result.kind) == ("unknown", "answer-lost")
+        assert "HTTP status 502" in result.reason or first is not None
+
+    run(work())
+
+
 def test_what_is_not_lecombus_is_said_to_be_so() -> None:
     line = line_of(httpx2.MockTransport(Script(httpx2.Response(200, text="<html>"))))
 

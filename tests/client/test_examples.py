@@ -135,11 +135,13 @@ def test_values_are_logged_and_old_ones_are_not(
     assert rows[3][3].startswith("belt C0050: ")
 
 
-def ended(name: str, *words: str, socket: Path) -> subprocess.CompletedProcess[str]:
+def ended(
+    name: str, *words: str, socket: Path, folder: Path | None = None
+) -> subprocess.CompletedProcess[str]:
     """Run an example to its end."""
     return subprocess.run(
         [sys.executable, EXAMPLES / name, *words], capture_output=True, text=True, check=False,
-        env=environment(LECOMBUS_SOCKET=str(socket)), timeout=60,
+        env=environment(LECOMBUS_SOCKET=str(socket)), timeout=60, cwd=folder,
     )  # fmt: skip
 
 
@@ -153,6 +155,62 @@ def test_wrong_words_end_an_example_with_how_to_call_it(words: list[str]) -> Non
     assert (ran.returncode, ran.stdout) == (1, "")
     assert ran.stderr.startswith(f"usage: {words[0]} ")
     assert "Traceback" not in ran.stderr
+
+
+CALLS = {
+    "ramp_together.py": ["5", "feeder", "belt"],
+    "log_to_csv.py": ["values.csv", "feeder/C0050"],
+    "react_to_trip.py": [],
+}
+
+
+def test_every_example_is_called_here() -> None:
+    assert {one.name for one in EXAMPLES.glob("*.py")} == set(CALLS)
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_without_a_daemon_an_example_ends_with_what_to_do(name: str, tmp_path: Path) -> None:
+    ran = ended(name, *CALLS[name], socket=Path("/nowhere/lecombus.sock"), folder=tmp_path)
+    assert (ran.returncode, ran.stdout) == (1, "")
+    (line,) = ran.stderr.splitlines()
+    assert "/nowhere/lecombus.sock" in line
+    assert line.startswith("no daemon answers at")
+    assert "start it" in line
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("words", "said"), [
+    (["ramp_together.py", "5", "fedeer"], "fedeer"),
+    (["log_to_csv.py", "values.csv", "fedeer/C0050"], "fedeer"),
+    (["log_to_csv.py", "values.csv", "feeder/speed"], "no code"),
+], ids=lambda one: one if isinstance(one, str) else " ".join(one))  # fmt: skip
+def test_what_the_daemon_refuses_ends_an_example_with_its_words(
+    running: tuple[Daemon, PtyEnd], words: list[str], said: str, tmp_path: Path
+) -> None:
+    ran = ended(*words, socket=running[0].socket, folder=tmp_path)
+    assert ran.returncode == 1
+    assert said in ran.stderr
+    assert "Traceback" not in ran.stderr
+
+
+@pytest.mark.parametrize("name", ["log_to_csv.py", "react_to_trip.py"])
+def test_ctrl_c_ends_an_example_in_silence(
+    running: tuple[Daemon, PtyEnd], name: str, tmp_path: Path
+) -> None:
+    daemon = running[0]
+
+    def works() -> bool:
+        readers = sum(daemon.metric("lecombus_event_readers").values())
+        return readers > 0 or (tmp_path / "values.csv").exists()
+
+    with subprocess.Popen(
+        [sys.executable, EXAMPLES / name, *CALLS[name]], cwd=tmp_path, stderr=subprocess.PIPE,
+        text=True, env=environment(LECOMBUS_SOCKET=str(daemon.socket)),
+    ) as program:  # fmt: skip
+        until(works, f"{name} works", within_s=30.0)
+        program.send_signal(signal.SIGINT)
+        _, errors = program.communicate(timeout=30.0)
+    assert (program.returncode, errors) == (130, "")
 
 
 @pytest.mark.parametrize("before", ["time,belt C0050,not good\r\n1,2,\r\n", "something else\n"])

@@ -33,6 +33,7 @@ class FakeDaemon:
     renewal: Callable[[], httpx2.Response | None] = lambda: None
     delay_s: Callable[[int], float] = lambda number: 0.0
     granted: httpx2.Response | None = None
+    hangs: bool = False
 
     async def __call__(self, request: httpx2.Request) -> httpx2.Response:
         path = request.url.path
@@ -44,6 +45,7 @@ class FakeDaemon:
         if not path.startswith("/v1/leases/"):
             return httpx2.Response(200, json={"outcome": "done"})
         if request.method == "DELETE":
+            await anyio.sleep(1000.0 if self.hangs else 0.0)
             return httpx2.Response(200, json={})
         body = json.loads(request.content)
         if "token" not in body:
@@ -116,6 +118,15 @@ def test_a_block_that_fails_lets_the_lease_lapse_and_raises_its_own_error() -> N
 
     fake = with_daemon(work)
     assert not fake.given_up()
+
+
+def test_a_daemon_that_does_not_answer_the_end_is_an_error_of_the_client() -> None:
+    async def work(line: Line, fake: FakeDaemon) -> None:
+        with pytest.raises(UnreachableError, match="does not answer"):
+            async with line.lease("winder", ["both"], TIME_S):
+                fake.hangs = True
+
+    assert with_daemon(work).given_up()
 
 
 def test_a_block_that_is_cancelled_lets_the_lease_lapse() -> None:

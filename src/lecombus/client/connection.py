@@ -142,7 +142,7 @@ class Connection:
         if asked_ago_s > 0:
             sent[ASKED] = seconds_text(asked_ago_s)
         try:
-            return self.answer_of(await self._send(method, path, document, sent))
+            return self._end_of(await self._send(method, path, document, sent))
         except AnswerLostError as exc:
             if not isinstance(exc.__cause__, BROKEN):
                 raise
@@ -151,7 +151,7 @@ class Connection:
         while (ago_s := now_s() - begun_s) < self._repeat_for_s:
             sent[ASKED] = seconds_text(asked_ago_s + ago_s)
             try:
-                return self.answer_of(await self._send(method, path, document, sent))
+                return self._end_of(await self._send(method, path, document, sent))
             except UnreachableError as exc:
                 if isinstance(exc.__cause__, httpx2.TimeoutException):
                     break
@@ -171,7 +171,7 @@ class Connection:
         Raises:
             UnreachableError: It cannot be reached; an `AnswerLostError`: it may have happened.
         """
-        return self.answer_of(await self._send(method, path, document, headers or {}))
+        return self._end_of(await self._send(method, path, document, headers or {}))
 
     async def _send(
         self,
@@ -215,6 +215,21 @@ class Connection:
             problem = f"the certificate of {self.where} is not trusted: {exc}"
             return UnreachableError(problem, "name the CA that signed it")
         return no_daemon_at(self.where)
+
+    def _end_of(self, response: httpx2.Response) -> Answer:
+        """Return what a response to something that acts says.
+
+        Raises:
+            AnswerLostError: A proxy may have sent it on, and has lost the answer.
+            UnreachableError: It is not lecombus'.
+        """
+        try:
+            return self.answer_of(response)
+        except UnreachableError as exc:
+            if response.status_code < 500:
+                raise
+            remedy = "what was asked may have happened; look at the proxy and at the daemon's log"
+            raise AnswerLostError(exc.problem, remedy) from exc
 
     def answer_of(self, response: httpx2.Response) -> Answer:
         """Return what a response says.

@@ -136,8 +136,13 @@ class Lease:
             UnreachableError: The daemon cannot be reached: it lapses.
         """
         headers = {LEASE_HEADER: self.token}
-        with anyio.fail_after(GIVE_UP_WITHIN_S, shield=True):
-            answer = await self._connection.once("DELETE", self._path, None, headers)
+        try:
+            with anyio.fail_after(GIVE_UP_WITHIN_S, shield=True):
+                answer = await self._connection.once("DELETE", self._path, None, headers)
+        except TimeoutError as exc:
+            problem = f"the daemon at {self._connection.where} does not answer in time"
+            remedy = f"lease {self.name} lapses within {self.time_s:g} s unless it was given up"
+            raise UnreachableError(problem, remedy) from exc
         if answer.status != 200:
             raise self.end(problem_error(answer).problem)
 
