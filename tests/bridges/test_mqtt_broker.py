@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
+import socket
 from pathlib import Path
+from typing import Any
 
 import aiomqtt
 import paho.mqtt.client as paho
@@ -15,6 +18,7 @@ from lecombus.bridges.mqtt.broker import (
     BrokerError,
     Limits,
     WillLimits,
+    client_for,
     password_of,
     properties_of,
     refusal,
@@ -28,10 +32,33 @@ ENTRY = MqttEntry(host="127.0.0.1", port=1883, tls=False)
 
 
 def test_the_private_names_of_the_libraries_are_there() -> None:
-    for name in ("_on_connect", "_on_message"):
+    for name in ("_on_connect", "_on_message", "_on_socket_register_write"):
         assert callable(getattr(aiomqtt.Client, name))
     for name in ("_sock_close", "connect_timeout"):
         assert hasattr(paho.Client, name)
+
+
+def test_a_socket_that_is_closed_before_its_turn_to_write_is_left_alone() -> None:
+    """Its number may be another's by then."""
+
+    async def test() -> None:
+        said: list[dict[str, Any]] = []
+        loop = asyncio.get_running_loop()
+        loop.set_exception_handler(lambda _, context: said.append(context))
+        client = client_for(ENTRY, "test", Message("a", b""), WillLimits())
+        for is_closed in (False, True):
+            near, far = socket.socketpair()
+            number = near.fileno()
+            client._on_socket_register_write(client._client, None, near)
+            if is_closed:
+                near.close()
+            await asyncio.sleep(0)
+            assert loop.remove_writer(number) is not is_closed
+            near.close()
+            far.close()
+        assert said == []
+
+    asyncio.run(test())
 
 
 def test_what_a_broker_says_of_itself_is_read() -> None:

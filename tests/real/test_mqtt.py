@@ -31,21 +31,32 @@ DRIVES: tuple[Wanted, ...] = (("feeder", 11, "8200vector"), ("belt", 12, "smvect
 ROOT = "lecombus/test"
 
 
-def roster(port: int, folder: Path, *, control: bool = True, more: str = "") -> str:
+def roster(
+    port: int,
+    folder: Path,
+    *,
+    control: bool = True,
+    more: str = "",
+    drives: tuple[Wanted, ...] = DRIVES,
+    drive: str = "",
+) -> str:
     keys = f"host: 127.0.0.1, port: {port}, tls: no, control: {'yes' if control else 'no'}{more}"
-    return roster_text(
-        DRIVES, folder=folder, sections=f"mqtt: {{{keys}}}\njournal: {folder / 'journal.sqlite'}"
-    )
+    names = ", ".join(name for name, _, _ in drives)
+    sections = (
+        f"mqtt: {{{keys}}}", f"journal: {folder / 'journal.sqlite'}",
+        f"groups: {{pair: {{members: [{names}]}}}}",
+    )  # fmt: skip
+    return roster_text(drives, folder=folder, drive=drive, sections="\n".join(sections))
 
 
 @contextmanager
 def served(
-    folder: Path, *, control: bool = True, more: str = "", broker_more: str = ""
+    folder: Path, *, broker_more: str = "", **keys: Any
 ) -> Iterator[tuple[Broker, Daemon, Bridge]]:
     """A broker, a daemon with two simulated drives that are online, and a bridge."""
     with (
         broker(folder, more=broker_more) as message_broker,
-        running(roster(message_broker.port, folder, control=control, more=more), folder) as daemon,
+        running(roster(message_broker.port, folder, **keys), folder) as daemon,
         bridge(folder) as its_bridge,
     ):
         daemon.until_online()
@@ -116,8 +127,19 @@ def test_commands_have_the_outcomes_of_http_and_are_carried_out_once() -> None:
             ):
                 said = json.loads(client.ask(f"{ROOT}/{topic}", payload, **more).text)
                 assert (said["outcome"], said["kind"]) == ("refused", kind)
-            stop = client.ask(f"{ROOT}/all/do/quick-stop", "any")
-            assert stop.said["outcome"] == "verified"
+            both = dict.fromkeys(("feeder", "belt"), "verified")
+            for target in ("pair", "all"):
+                body = '{"value": 0, "verify": true}'
+                said = json.loads(client.ask(f"{ROOT}/{target}/set/C0040", body).text)
+                assert outcomes(said) == both, said
+                said = json.loads(client.ask(f"{ROOT}/{target}/set/C0046", "17").text)
+                assert (said["outcome"], said["kind"]) == ("refused", "not-writable"), "of the belt"
+                for verb in ("inhibit", "quick-stop"):
+                    stop = client.ask(f"{ROOT}/{target}/do/{verb}", "any")
+                    assert stop.said["outcome"] == "verified"
+                    assert outcomes(json.loads(stop.text)) == both
+            started = json.loads(client.ask(f"{ROOT}/pair/do/enable").text)
+            assert started["outcome"] == "refused", "a group is not enabled"
 
             # What came while the bridge stood is old when it goes on.
             its_bridge.process.send_signal(signal.SIGSTOP)
@@ -133,6 +155,85 @@ def test_commands_have_the_outcomes_of_http_and_are_carried_out_once() -> None:
         from_mqtt = [row for row in writes if row["fields"].get("client") == "mqtt"]
         assert {row["fields"]["process"] for row in from_mqtt} == {"lecombus-mqtt"}
         assert sum(row["fields"].get("value") == "20.5" for row in from_mqtt) == 1
+
+
+def outcomes(answer: dict[str, Any]) -> dict[str, str]:
+    """The outcome of each drive of a group."""
+    return {one["drive"]: one["outcome"] for one in answer["members"]}
+
+
+def test_home_assistant_hears_of_all_drives_after_its_birth_and_of_none_that_left() -> None:
+    own = "homeassistant/device/lecombus_test_{}/config"
+    with (
+        short_dir() as folder,
+        served(folder, more=", home_assistant: homeassistant") as (message_broker, daemon, _),
+        message_broker.client("homeassistant/#") as client,
+    ):
+
+        def known(name: str) -> int:
+            return sum(bool(one.text) for one in client.all(own.format(name)))
+
+        until(lambda: known("feeder") and known("belt"), "both drives are known")
+        parts = json.loads(client.text(own.format("feeder")) or "")["components"]
+        assert {"state", "problem", "C0050", "speed", "quick_stop"} <= parts.keys()
+        until(lambda: set(message_broker.standing("homeassistant/device/#")) == {
+            own.format("feeder"), own.format("belt")}, "they stand at the broker")  # fmt: skip
+
+        before = known("feeder"), known("belt")
+        client.publish("homeassistant/status", b"online")
+        until(lambda: known("feeder") > before[0] and known("belt") > before[1], "sent again")
+
+        (folder / "roster.yaml").write_text(
+            roster(message_broker.port, folder, more=", home_assistant: homeassistant",
+                   drives=DRIVES[:1])
+        )  # fmt: skip
+        assert daemon.cli("reload").status == 0
+        until(lambda: client.text(own.format("belt")) == "", "the drive that left is removed")
+        assert list(message_broker.standing("homeassistant/device/#")) == [own.format("feeder")]
+        until(lambda: not message_broker.standing(f"{ROOT}/belt/#"), "nothing stands of it")
+        assert client.text(own.format("feeder")) != ""
+
+
+def test_an_outage_longer_than_values_are_good_shows_nothing_old_and_repeats_nothing() -> None:
+    """What an hour would do: all that stood is old, and senders send again what was carried out.
+
+    The broker keeps what is retained on its disk and is killed; the bridge stands still, so that
+    nothing but the broker itself can drop what is old.
+    """
+    fast = "cyclic: [{code: C0050, every: 500ms}]"  # stale after 2 s
+    numbers = range(20)
+    with short_dir() as folder, served(folder, drive=fast) as (message_broker, daemon, its_bridge):
+        with message_broker.client("answers/test", f"{ROOT}/#") as client:
+            shows(client, "feeder/state", "online")
+            until(lambda: client.text(f"{ROOT}/feeder/value/C0050"), "a value")
+            state = client.last(f"{ROOT}/state")
+            assert state is not None
+            assert 1 <= (state.expiry_s or 0) <= 60, "nor does the line look alive for ever"
+            send_twice(client, numbers)
+            its_bridge.process.send_signal(signal.SIGSTOP)
+            time.sleep(1.2)  # the broker saves once a second
+        message_broker.end(kill=True)
+        time.sleep(2)
+        message_broker.start()
+        assert message_broker.standing(f"{ROOT}/state"), "it has kept what was retained"
+        stands = message_broker.standing(f"{ROOT}/+/value/#")
+        assert [topic for topic in stands if topic.endswith("/C0050")] == []
+        for topic, one in stands.items():  # read once, and good for longer: its time ran on
+            before = client.last(topic)
+            assert before is not None
+            assert one.expiry_s is not None
+            assert before.expiry_s is not None
+            assert one.expiry_s <= before.expiry_s - (one.at_s - before.at_s) + 1
+        assert message_broker.standing(f"{ROOT}/+/json") == {}
+        with message_broker.client("answers/test", f"{ROOT}/#") as client:
+            send_twice(client, numbers, wait=False)  # nobody is there to take them
+            its_bridge.process.send_signal(signal.SIGCONT)
+            until(lambda: client.text(f"{ROOT}/feeder/value/C0050"), "a value", within_s=30)
+            send_twice(client, numbers)
+            again = [json.loads(one.text) for one in client.all("answers/test")]
+            assert len(again) >= 2 * len(numbers)
+            assert all(one["repeated"] for one in again if one.get("code"))
+        assert carried_out(daemon) == Counter({f"{number / 50:g}": 1 for number in numbers})
 
 
 def test_a_broker_that_was_away_gets_all_events_and_the_newest_values() -> None:
@@ -254,15 +355,20 @@ def test_of_a_thousand_commands_sent_twice_each_is_carried_out_once() -> None:
             with bridge(folder) as another:
                 until(lambda: "mqtt-connected" in another.log(), "connected", within_s=60)
                 send_twice(client, range(1000))
-        counts = Counter(
-            row["fields"]["value"] for row in journal_rows(daemon)
-            if row["what"] == "write" and row["fields"].get("client") == "mqtt"
-        )  # fmt: skip
+        counts = carried_out(daemon)
         assert len(counts) > 900
         assert max(counts.values()) == 1
 
 
-def send_twice(client: MqttClient, numbers: range) -> None:
+def carried_out(daemon: Daemon) -> Counter[str]:
+    """How often each value was written by MQTT."""
+    return Counter(
+        row["fields"]["value"] for row in journal_rows(daemon)
+        if row["what"] == "write" and row["fields"].get("client") == "mqtt"
+    )  # fmt: skip
+
+
+def send_twice(client: MqttClient, numbers: range, *, wait: bool = True) -> None:
     """Send commands with values of their own, each twice, and wait for the answers to the last."""
     for number in numbers:
         for _ in range(2):
@@ -270,7 +376,7 @@ def send_twice(client: MqttClient, numbers: range) -> None:
                 f"{ROOT}/feeder/set/C0046", f"{number / 50:.2f}", qos=1, expiry_s=3000,
                 correlation=f"{number}".encode(), response="answers/test",
             )  # fmt: skip
-        if number % 40 == 39:  # no more may wait for one drive
+        if wait and (number == numbers[-1] or number % 40 == 39):  # no more may wait for one drive
             until_answered(client, f"{number}-{time.monotonic()}".encode())
 
 

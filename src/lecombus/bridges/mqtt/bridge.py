@@ -248,7 +248,8 @@ class MqttBridge:
                 self._is_all_changed = False
                 next_all_s = now_s + LOOK_EVERY_S
                 names = shown | set(self.follower.drives)
-                await self._publish(broker, [line_state(self._topics, self.follower)], "\0", now_s)
+                state = line_state(self._topics, self.follower, now_s)
+                await self._publish(broker, [state], "\0", now_s)
             for name in names:
                 shown.add(name)
                 await self._show_drive(broker, name)

@@ -157,6 +157,24 @@ class BridgeClient(aiomqtt.Client):
             )
         )
 
+    def _on_socket_register_write(self, client: Any, userdata: Any, sock: Any) -> None:
+        self._loop.call_soon_threadsafe(self._write_in_turn, sock)
+
+    def _write_in_turn(self, sock: Any) -> None:
+        """Wait until a socket can be written; one that is closed by now is left alone.
+
+        aiomqtt registers its number then, which may be another socket's, or none.
+        """
+        if sock.fileno() >= 0:
+            self._loop.add_writer(sock.fileno(), self._write)
+
+    def _write(self) -> None:
+        try:
+            self._client.loop_write()
+        except (OSError, ValueError) as exc:
+            if not self._disconnected.done():
+                self._disconnected.set_exception(exc)
+
     def abandon(self) -> None:
         """Close the connection, if it is still open, without a word to the broker."""
         self._client._sock_close()

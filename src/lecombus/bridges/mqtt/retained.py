@@ -65,14 +65,18 @@ class Message:
     response: bytes | None = None
 
 
-def line_state(topics: Topics, follower: LineFollower) -> Message:
-    """Return how the line is doing: `online`, `daemon-away`, `lost` or `closed`."""
+def line_state(topics: Topics, follower: LineFollower, now_s: float) -> Message:
+    """Return how the line is doing: `online`, `daemon-away`, `lost` or `closed`.
+
+    It expires: the broker says `offline` in the bridge's name when the bridge is lost, but not if
+    it was itself ended first, and it may have kept this on its disk.
+    """
     if not follower.is_connected or follower.line is None:
         word, reason = DAEMON_AWAY, follower.why_away
     else:
         word, reason = follower.line.state, follower.line.reason
         word = ONLINE if word == "open" else word
-    return state_message(topics.line_state, word, reason)
+    return state_message(topics.line_state, word, reason, STATE_STANDS_S, now_s + STATE_STANDS_S)
 
 
 def state_message(
