@@ -176,7 +176,7 @@ class Daemon:
         journal = await self._open_journal()
         try:
             await self._run(keeping, journal)
-        except BaseException as exc:
+        except BaseException as exc:  # of any kind: the journal says what ended the daemon
             error = first_error(exc)
             self._ended_by = f"{type(error).__name__}: {error}"
             raise

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import UTC, datetime
 from decimal import Decimal
@@ -15,6 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lecombus.bridges.line_follower import FollowedDrive, FollowedValue
+from lecombus.bridges.mqtt import seen_commands
 from lecombus.bridges.mqtt.board import Board
 from lecombus.bridges.mqtt.event_queue import EventQueue
 from lecombus.bridges.mqtt.retained import Message, drive_messages
@@ -158,6 +160,25 @@ def test_a_command_is_known_after_a_restart_but_not_how_it_ended(tmp_path: Path)
     assert "a" in again
     assert "b" not in again
     assert again.outcome("a") is None
+
+
+def test_commands_for_many_drives_are_kept_at_the_same_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each is kept in a thread; the file is written again again and again meanwhile."""
+    monkeypatch.setattr(seen_commands, "KEPT", 200)
+    seen = SeenCommands(tmp_path / "commands")
+    threads = 4
+
+    def note(part: int) -> None:
+        for number in range(300):
+            seen.note(f"{part}-{number}")
+
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(note, range(threads)))
+    again = SeenCommands(tmp_path / "commands")
+    assert all(f"{part}-299" in seen for part in range(threads))
+    assert all(f"{part}-299" in again for part in range(threads))
 
 
 def test_a_line_that_was_cut_off_costs_no_other_command(tmp_path: Path) -> None:

@@ -345,6 +345,28 @@ def test_the_head_is_logged_at_the_start_hourly_and_at_the_end(
     assert heads[-1].startswith("2:")
 
 
+def test_the_end_writes_all_that_waits_and_logs_the_last_row(
+    tmp_path: Path, disk: Disk, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+
+    async def scenario(journal: Journal) -> None:
+        disk.works.clear()
+        for number in range(1000):
+            journal.record("trip", "a", {"number": str(number)})
+        journal.record("end", is_vital=True)
+        asyncio.get_running_loop().call_later(0.1, disk.works.set)
+
+    with_journal(tmp_path / "j", scenario)
+    assert "event=journal-head head=1001:" in caplog.messages[-1]
+
+    async def look(journal: Journal) -> None:
+        (last,) = await journal.last_rows(drives=[], most=1)
+        assert (last.number, last.kind) == (1001, "end")
+
+    with_journal(tmp_path / "j", look)
+
+
 def test_the_end_does_not_wait_for_a_disk_that_hangs(
     tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

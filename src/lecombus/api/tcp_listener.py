@@ -149,6 +149,6 @@ class TcpListener:
     async def _handed_over(self, taken: socket.socket) -> None:
         try:
             await self._loop.connect_accepted_socket(self._make, taken)
-        except BaseException:
+        except BaseException:  # cancelled too: else the socket would stay open without an owner
             taken.close()
             raise

@@ -358,9 +358,9 @@ class Journal:
         try:
             self._record_counted(0.0)
             async with asyncio.timeout(END_S):
-                self._try_at_s = 0.0
                 self._flush()
-                await self._idle.wait()
+                while self._in_flight_since_s is not None:  # each transaction begins the next one
+                    await self._idle.wait()
                 self.log_head()
                 await self._thread.ask(self._file.close)
         except TimeoutError:

@@ -295,3 +295,18 @@ async def test_slow_clients_are_disconnected_and_delay_nobody(
                     await received(partial, 1)
             assert await is_open(idle)
             assert await is_open(good)
+
+
+async def test_a_telegram_that_comes_byte_by_byte_has_no_more_time_than_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(modbus_server, "PATIENCE_S", 0.5)
+    async with listening(Registers()) as port:
+        slow = await anyio.connect_tcp("127.0.0.1", port)
+        async with slow:
+            with suppress(anyio.BrokenResourceError):
+                for byte in frame(1, READ.pack(3, 7, 1)):
+                    await slow.send(bytes((byte,)))
+                    await anyio.sleep(0.2)
+            with pytest.raises((anyio.EndOfStream, anyio.BrokenResourceError)):
+                await received(slow, 1)

@@ -155,12 +155,7 @@ class ModbusServer:
     async def _answer_all(self, stream: SocketStream, client: str) -> None:
         data = b""
         while True:
-            request, rest = split(data)
-            if request is None:
-                with anyio.fail_after(PATIENCE_S if data else None):
-                    data += await stream.receive(4096)
-                continue
-            data = rest
+            request, data = await next_request(stream, data)
             self._connections[stream].heard_s = self._now()
             transaction, unit, pdu = request
             answer = self.answer(client, unit, pdu)
@@ -245,6 +240,29 @@ def address_of(stream: SocketStream) -> str:
         return str(stream.extra(SocketAttribute.remote_address)[0])
     except OSError:
         return ""
+
+
+async def next_request(stream: SocketStream, data: bytes) -> tuple[tuple[int, int, bytes], bytes]:
+    """Wait for a telegram, however long, and for its end no longer than `PATIENCE_S`.
+
+    Args:
+        stream: The connection.
+        data: What was received of it already.
+
+    Returns:
+        As `split`, of a whole telegram.
+
+    Raises:
+        anyio.BrokenResourceError: This is no Modbus TCP, or the connection is lost.
+        TimeoutError: It does not end in time, however often a part of it comes.
+    """
+    data = data or await stream.receive(4096)
+    with anyio.fail_after(PATIENCE_S):
+        while True:
+            request, rest = split(data)
+            if request is not None:
+                return request, rest
+            data += await stream.receive(4096)
 
 
 def split(data: bytes) -> tuple[tuple[int, int, bytes] | None, bytes]:

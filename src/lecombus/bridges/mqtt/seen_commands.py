@@ -9,6 +9,7 @@ runs, and only of the latest.
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -37,6 +38,7 @@ class SeenCommands:
         self._keys: dict[str, None] = {}
         self._outcomes: dict[str, Mapping[str, Any]] = {}
         self._lines = 0
+        self._noting = threading.Lock()
         if file is not None:
             with suppress(FileNotFoundError):
                 for line in file.read_text(errors="replace").splitlines():
@@ -67,9 +69,15 @@ class SeenCommands:
     def note(self, key: str) -> None:
         """Keep that a command came, on the disk before this returns.
 
+        Called in threads: commands for several drives are kept at the same time.
+
         Raises:
             OSError: It cannot be kept.
         """
+        with self._noting:
+            self._note(key)
+
+    def _note(self, key: str) -> None:
         self._keys[key] = None
         while len(self._keys) > KEPT:
             del self._keys[next(iter(self._keys))]
