@@ -53,6 +53,8 @@ class Pauses:
         self._known_busy = line.is_told_apart
         stray = MOST_STRAY if line.faults else 0  # what noise appends is no part of an answer
         self._turnaround_s = line.roster.line.turnaround_s - stray * CHARACTER_BITS / sim.host_baud
+        # An EOT has no checksum: one that noise made within an answer ends it for the host.
+        self._made_ends = "noise" in line.faults
         self._left_alone: dict[int, float] = {}
 
     def drives_heard(self, at_s: float, heard: ReceivedRequest) -> None:
@@ -79,7 +81,10 @@ class Pauses:
         if before is None:
             return
         if before.answered and before.answer_end_s is not None and self._sole:
-            self._need(one, before.answer_end_s + self._turnaround_s, "of its turnaround")
+            end_s = before.answer_end_s
+            if self._made_ends and before.ended_s is not None:
+                end_s = min(end_s, before.ended_s)
+            self._need(one, end_s + self._turnaround_s, "of its turnaround")
         if before.group:
             self._need(one, before.end_s + self._slowest_s(before), "of a multicast's members")
         elif not before.heard and not one.stop:

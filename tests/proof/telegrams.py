@@ -33,6 +33,7 @@ class Telegram:
         code: Its code and subcode.
         text: What it writes; None: it reads.
         answer_end_s: When the drive it is for had spoken its answer; None: it did not speak.
+        ended_s: When the daemon takes its exchange as ended; None: not reported yet.
         heard: Whether any byte came to the host before the next telegram.
         answered: Whether the daemon takes it as answered.
         busy_until_s: Until when the drive is busy with a write, as known when this one is said.
@@ -45,6 +46,7 @@ class Telegram:
     code: tuple[int, int]
     text: str | None
     answer_end_s: float | None = None
+    ended_s: float | None = None
     heard: bool = False
     answered: bool = False
     busy_until_s: float = 0.0
@@ -104,6 +106,7 @@ class Telegrams:
             return None
         one = self._unreported.popleft()
         one.priority = report.priority
+        one.ended_s = report.result.ended_s
         one.answered = report.result.kind is ResultKind.ANSWERED
         before, self._before = self._before, one
         return before, one

@@ -2,7 +2,8 @@
 
 Each seed is one line. Those named here between them take every way through the schedule that needs
 several things together: a drive that falls silent while it is stopped, is left alone and late,
-measured times for which there is never room, requests that no watchdog leaves room for.
+measured times for which there is never room, requests that no watchdog leaves room for, more lost
+answers tolerated than ever fit.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from schedule.world import COST_S, World
 P = Priority
 LASTS_S = 12.0
 CALM_S = 60.0
+MORE_LOST = 1000  # from this seed on two or three lost answers are tolerated
 
 
 class Line:
@@ -32,8 +34,9 @@ class Line:
         world.drives(*self.names)
         world.after = self._after
         if draw.random() < 0.7:
+            tolerates = [0, 1, 1] if seed < MORE_LOST else [2, 2, 3]
             faults = FaultHypothesis(
-                draw.choice([0, 1, 1]), draw.choice([0.0, 0.05, 0.2, 0.4]),
+                draw.choice(tolerates), draw.choice([0.0, 0.05, 0.2, 0.4]),
                 draw.choice([0.0, 0.1, 0.3, 0.5]),
             )  # fmt: skip
             world.schedule.expect(faults)
@@ -104,7 +107,7 @@ class Line:
         world.run(LASTS_S + CALM_S)
 
 
-@pytest.mark.parametrize("seed", [*range(24), 80, 93, 361])
+@pytest.mark.parametrize("seed", [*range(24), 80, 93, 361, 1431, 1611, 1641, 2240, 2477, 2712, 5469])
 def test_every_request_ends_and_every_stop_is_sent_as_often_as_it_is_repeated(seed: int) -> None:
     line = Line(seed)
     line.run()

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from lecombus.schedule import Outcome, Priority, Request, WatchdogFeeding
+from lecombus.schedule.watchdog_deadline import FaultHypothesis
 from schedule.world import COST_S, WORST_S, World
 
 P = Priority
@@ -77,6 +78,25 @@ def test_what_only_fits_by_the_manual_goes_now_and_then() -> None:
     assert min(b - a for a, b in pairwise(starts)) >= 1.0
     stats = world.schedule.stats(world.now_s)
     assert sum(one.lapses for one in stats.feeds.values()) == 0
+
+
+@pytest.mark.parametrize("tolerate", [0, 1, 2, 3])
+@pytest.mark.parametrize("worst_s", [0.2, 0.3, 0.4, 0.5])
+def test_what_fits_by_the_manual_goes_though_feeds_never_leave_so_much_room(
+    tolerate: int, worst_s: float
+) -> None:
+    world = World().drives("d0", "d1", "d2")
+    world.schedule.expect(FaultHypothesis(tolerate, 0.05, 0.1))
+    for name, time_s, cost_s, feed_worst_s in (
+        ("d0", 1.2, 0.03, 0.5), ("d1", 0.8, 0.08, 0.3), ("d2", 0.4, 0.08, 0.2),
+    ):  # fmt: skip
+        world.feed(name, time_s, cost_s=cost_s, worst_s=feed_worst_s, documented=TOLD)
+    world.run(5.0)
+    request = world.submit("d2", P.CONTROL, worst_s=worst_s)
+    world.run(10.0)
+    assert world.outcome(request)[0] is Outcome.DONE
+    stats = world.schedule.stats(world.now_s)
+    assert sum(feed.lapses for feed in stats.feeds.values()) == 0
 
 
 def test_without_measures_what_can_never_fit_is_refused_as_ever() -> None:

@@ -174,6 +174,19 @@ def test_no_feed_is_late_on_a_feasible_line(data: st.DataObject) -> None:
         assert feed.margin_least_s >= feed.time_s * (1 - HARD_PART) - 1e-9
 
 
+def test_the_own_feed_that_goes_before_an_exchange_makes_no_other_late() -> None:
+    costs = [0.03125, 0.03125, 0.03125, 0.015625, 0.0234375, 0.005859375]
+    time_s = (2 * sum(costs) + max(costs)) / HARD_PART
+    world = World().drives("other")
+    for index, cost_s in enumerate(costs):
+        world.drives(f"d{index}")
+        world.feed(f"d{index}", time_s, cost_s=cost_s, worst_s=cost_s * 3)
+    world.cyclic("d2", 1.0, cost_s=costs[2])  # it may take longer than its drive's feed
+    world.saturate(P.CONTROL, ["other"], cost_s=0.015625, worst_s=0.015625)
+    world.run(15.0)
+    assert {feed.misses for feed in world.schedule.stats(world.now_s).feeds.values()} == {0}
+
+
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.floats(0.4, 3.0), min_size=1, max_size=12), st.sampled_from([0.0, 0.01, 0.05]))
 def test_without_overload_every_slot_stands_on_its_grid(

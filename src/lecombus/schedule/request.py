@@ -159,6 +159,7 @@ class Request:
     cell: list[Any] | None = field(default=None, init=False, repr=False)  # where it stands
     attempts: int = field(default=0, init=False, repr=False)  # exchanges made for it
     rooms: int = field(default=0, init=False, repr=False)  # feeds run first so that it fits
+    eased: int = field(default=0, init=False, repr=False)  # times its room was made in vain
     fed_first: int = field(default=0, init=False, repr=False)  # feeds run first, though it fits
     latest_s: float | None = field(default=None, init=False, repr=False)  # no feed before it then
     cut_by_s: float = field(default=0.0, init=False, repr=False)  # taken off its time-outs

@@ -264,7 +264,8 @@ class Schedule(DriveTable):
         """Let a request go if no watchdog can suffer; else run what must go first, or end it."""
         feeds = self._watchdogs
         own = feeds.own_first(now_s, request.unfed_s, request.drive)
-        if own is not None and request.fed_first < FEEDS_FIRST:
+        holds = own is None or feeds.fits(now_s, own.cost_s, request.drive)
+        if own is not None and holds and request.fed_first < FEEDS_FIRST:
             request.fed_first += 1
             return to_feed(self._watchdog_arbiter.plain(own))
         need_s = feeds.need_s(request)
@@ -300,6 +301,8 @@ class Schedule(DriveTable):
                     own = feeds.own_late(now_s + feed.cost_s, request.drive)
                     own = None if own is None or own.free_s() > now_s else own
                 return to_feed(self._watchdog_arbiter.telegram(own or feed, now_s))
+        if request.rooms:
+            request.eased += 1
         self._put_off(request, feeds.retry_s(now_s))
         return None
 

@@ -42,6 +42,7 @@ from typing import Final
 from lecombus.schedule.request import Request
 from lecombus.schedule.watchdog_deadline import (
     HARD_PART,
+    SOFT_PART,
     SPARE_ATTEMPTS,
     FaultHypothesis,
     WatchdogDeadline,
@@ -54,6 +55,7 @@ WAKE_S: Final = 1e-6
 _hard, _held_until, _time = map(attrgetter, ("hard_s", "held_until_s", "time_s"))
 _first = itemgetter(0)
 SOON: Final = 2.0  # times the slack kept for attempts: with less, cyclic slots are chosen to feed
+EASED_PART: Final = 0.75  # of the room that was made in vain: see `_waited_for_s`
 SPARE_PART: Final = 0.5  # of the best slack: more is not kept for failed attempts
 
 
@@ -98,13 +100,31 @@ class WatchdogSet:
     def need_s(self, request: Request) -> float:
         """Return how much slack it takes to begin an exchange: room for what may be lost, seconds.
 
-        Limited to the largest slack that can occur; otherwise a fitting exchange would never begin.
+        Limited to the slack that can occur; otherwise a fitting exchange would never begin.
         """
         need_s = self.faults.need_s(request.cost_s, request.worst_s, *self._losses())
         most_s = self._most.get(request.drive)
         if most_s is None:
             most_s = self._most[request.drive] = self.most_s(request.drive)[0]
-        return max(min(need_s, most_s - ROUNDING_S), self._least_room_s(request) - ROUNDING_S)
+        return self._waited_for_s(request, need_s, most_s, self._least_room_s(request))
+
+    def _waited_for_s(
+        self, request: Request, need_s: float, most_s: float, least_s: float
+    ) -> float:
+        """Return for how much room an exchange waits, of what it needs, seconds.
+
+        There may never be so much: more lost answers are tolerated than ever fit, or feeds take as
+        long as measured and never leave the room that the manual promises. Where the most that
+        there can be was made in vain, less will do, by the manual also less than its own lost
+        answer takes (`Schedule._admit_by_manual` says what that may cost).
+        """
+        if least_s > most_s:
+            return least_s - ROUNDING_S  # see `never`
+        if need_s <= most_s - ROUNDING_S and not (self.by_manual and request.eased):
+            return need_s
+        floor_s = request.cost_s if self.by_manual else least_s
+        eased_s = min(need_s, most_s) * EASED_PART**request.eased
+        return max(eased_s, floor_s) - ROUNDING_S
 
     def _least_room_s(self, request: Request) -> float:
         """Return how much slack there must be at some time for an exchange, or it is not begun.
@@ -256,6 +276,9 @@ class WatchdogSet:
             return None
         behind_s = min(self.faults.behind_s(*self._losses()), self.most_s("")[0])
         behind_s = max(self.faults.tolerate * own.worst_s, behind_s)
+        # A round of all feeds goes between two of it, or half its time: else room is never made.
+        left_s = own.time_s * HARD_PART - self.round_s() - own.cost_s
+        behind_s = min(behind_s, max(left_s, own.time_s * SOFT_PART))
         return own if now_s + other.cost_s + behind_s + own.cost_s > own.hard_s else None
 
     def own_holds(self, request: Request, now_s: float) -> bool:
@@ -290,7 +313,8 @@ class WatchdogSet:
         """Return how much of its own drive's time a long exchange takes, seconds; as `need_s`."""
         cost_s, worst_s = by_manual(request)
         need_s = self.faults.need_s(cost_s, worst_s, *self._losses())
-        return max(min(need_s, self._most_of_all_s()), self._own_least_s(request, own)) - ROUNDING_S
+        least_s = self._own_least_s(request, own)
+        return self._waited_for_s(request, need_s, self._most_of_all_s(), least_s)
 
     def _own_least_s(self, request: Request, own: WatchdogDeadline) -> float:
         """Return how much of its own drive's time it takes at least, behind a feed of that drive.
