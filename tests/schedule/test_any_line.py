@@ -107,7 +107,9 @@ class Line:
         world.run(LASTS_S + CALM_S)
 
 
-@pytest.mark.parametrize("seed", [*range(24), 80, 93, 361, 1431, 1611, 1641, 2240, 2477, 2712, 5469])
+@pytest.mark.parametrize(
+    "seed", [*range(24), 80, 93, 361, 1431, 1611, 1641, 2240, 2477, 2712, 5469]
+)
 def test_every_request_ends_and_every_stop_is_sent_as_often_as_it_is_repeated(seed: int) -> None:
     line = Line(seed)
     line.run()
