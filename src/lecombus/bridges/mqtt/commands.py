@@ -262,20 +262,28 @@ class Commands:
         path = self._path(topic)
         key = key_of(incoming)
         if incoming.correlation is not None:
-            try:
-                if self._seen.is_kept:
-                    await anyio.to_thread.run_sync(self._seen.note, key)
-                else:
-                    self._seen.note(key)
-            except OSError as exc:
-                raise CommandRefusedError(
-                    "not-kept", f"it cannot be kept that this command came: {exc}",
-                    "look at the disk, or send it with QoS 2 and without correlation data",
-                ) from exc  # fmt: skip
+            await self._note(key)
         return CommandRequest(
             "PUT" if topic.what == "set" else "POST", path,
             {**document, **expires_document(expires_s)}, key, asked_s, asked_s + expires_s,
         )  # fmt: skip
+
+    async def _note(self, key: str) -> None:
+        """Keep that a command came.
+
+        Raises:
+            CommandRefusedError: It cannot be kept.
+        """
+        try:
+            if self._seen.is_kept:
+                await anyio.to_thread.run_sync(self._seen.note, key)
+            else:
+                self._seen.note(key)
+        except OSError as exc:
+            raise CommandRefusedError(
+                "not-kept", f"it cannot be kept that this command came: {exc}",
+                "look at the disk, or send it with QoS 2 and without correlation data",
+            ) from exc  # fmt: skip
 
     def _path(self, topic: CommandTopic) -> str:
         """Return the path of what a command asks for.
