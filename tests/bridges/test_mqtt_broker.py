@@ -32,7 +32,9 @@ ENTRY = MqttEntry(host="127.0.0.1", port=1883, tls=False)
 
 
 def test_the_private_names_of_the_libraries_are_there() -> None:
-    for name in ("_on_connect", "_on_message", "_on_socket_register_write"):
+    for name in (
+        "_on_connect", "_on_message", "_on_publish", "_on_socket_register_write", "_wait_for"
+    ):  # fmt: skip
         assert callable(getattr(aiomqtt.Client, name))
     for name in ("_sock_close", "connect_timeout"):
         assert hasattr(paho.Client, name)

@@ -9,8 +9,8 @@ from typing import Any, get_args
 import pytest
 
 from lecombus.bridges.line_follower import FollowedDrive, LineFollower
-from lecombus.bridges.notify.bridge import misses_of
 from lecombus.bridges.notify.conditions import Conditions, Happening
+from lecombus.bridges.watchdog_misses import misses_of
 from lecombus.client import Event, LineStatus
 from lecombus.roster import NotifyEvent
 

@@ -23,7 +23,7 @@ from lecombus.cli.run import FORMATS, LEVELS, set_up_logging
 if TYPE_CHECKING:
     from lecombus.roster import Roster
 
-__all__ = ["bridge_command"]
+__all__ = ["bridge_command", "extra"]
 
 Function = Callable[..., Any]
 
@@ -170,7 +170,7 @@ def show_map(line: Roster, *, as_json: bool, markdown: bool) -> None:
 
 
 def extra(module: str, name: str, *libraries: str) -> Any:
-    """Import a bridge, whose library may not be installed.
+    """Import what needs a library that may not be installed.
 
     Raises:
         CommandError: It is not.
@@ -180,7 +180,7 @@ def extra(module: str, name: str, *libraries: str) -> Any:
     except ModuleNotFoundError as exc:
         if exc.name is None or exc.name.partition(".")[0] not in libraries:
             raise
-        problem = f"{exc.name} is not installed, which this bridge needs"
+        problem = f"{exc.name} is not installed, which this command needs"
         raise CommandError(Exit.FAILED, problem, f"install lecombus[{name}]") from exc
 
 

@@ -24,6 +24,7 @@ __all__ = [
     "is_done",
     "kind_of",
     "members_of",
+    "outcome_rows",
     "quality_of",
     "show_outcomes",
     "show_reading",
@@ -157,7 +158,20 @@ def show_verb(report: Document) -> None:
 def _show_outcomes(
     reports: Sequence[Document], title: str = "", *, without: Sequence[str] = ()
 ) -> None:
-    rows = []
+    rows = outcome_rows(reports, without=without)
+    show_rows(("drive", "code", "outcome", "reads", "why"), rows, title=title)
+
+
+def outcome_rows(
+    reports: Sequence[Document], *, without: Sequence[str] = ()
+) -> list[tuple[str, ...]]:
+    """Return reports as rows: drive, code, outcome, value read back, reason.
+
+    Args:
+        reports: One a drive.
+        without: Keys that are said otherwise.
+    """
+    rows: list[tuple[str, ...]] = []
     said: dict[str, str] = {}
     for report in reports:
         drive, outcome = cells_of(report, "drive", "outcome")
@@ -166,7 +180,7 @@ def _show_outcomes(
             first = said.setdefault(_in_general(why, drive), drive)
             why = why if first == drive else f"like {first}"
         rows.append((drive, code_of(report), outcome, _reads(report), why))
-    show_rows(("drive", "code", "outcome", "reads", "why"), rows, title=title)
+    return rows
 
 
 def _in_general(why: str, drive: str) -> str:

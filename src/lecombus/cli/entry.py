@@ -64,6 +64,7 @@ COMMANDS: Final[Mapping[str, tuple[str, str]]] = {
     "support-bundle": ("support_bundle", "Collect what a maintainer needs, without secrets."),
     "scan": ("scan", "Find the drives on a line, and propose a roster."),
     "bridge": ("bridge_commands", "Run a bridge to another protocol: MQTT or Modbus TCP."),
+    "fleet": ("fleet", "Follow many lines on a broker: what needs attention; stop lines."),
     "notify": ("notify", "Try the messages that are sent when something happens."),
     "why": ("status", "Say why a drive does not turn, and what to do next."),
 }

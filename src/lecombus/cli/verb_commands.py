@@ -26,11 +26,13 @@ from lecombus.client.requests import write_document
 from lecombus.parameters import Json
 
 __all__ = [
+    "alarm",
     "enable_command",
     "inhibit_command",
     "quick_stop_command",
     "reset_fault_command",
     "set_speed_command",
+    "spoken",
     "stop_command",
 ]
 
@@ -60,7 +62,7 @@ def _send_stop(target: str, action: str, daemon: DaemonOptions) -> Exit:
     except (CommandError, KeyboardInterrupt):
         if not daemon.as_json:
             who = f"{target} has not" if target.strip() and target != "all" else "no drive has"
-            _alarm(f"{who} confirmed the {_words(action)}: motors may still turn")
+            alarm(f"{who} confirmed the {spoken(action)}: motors may still turn")
         raise
     show(answer, lambda report: _show_stop(report, action), as_json=daemon.as_json)
     return status_of(answer.data)
@@ -69,7 +71,7 @@ def _send_stop(target: str, action: str, daemon: DaemonOptions) -> Exit:
 def _show_stop(report: Document, action: str) -> None:
     doubtful = _not_confirmed(report, action)
     if doubtful:
-        _alarm(doubtful)
+        alarm(doubtful)
     show_outcomes(report, said_once=("remedy",))
 
 
@@ -82,17 +84,18 @@ def _not_confirmed(report: Document, action: str) -> str:
     motors = "its motor" if count == 1 else "their motors"
     drives = "drive" if len(members) == 1 else "drives"
     return (
-        f"{count} of {len(members)} {drives} did not confirm the {_words(action)}: {motors} may "
+        f"{count} of {len(members)} {drives} did not confirm the {spoken(action)}: {motors} may "
         "still turn"
     )
 
 
-def _alarm(text: str) -> None:
+def alarm(text: str) -> None:
     """Print what is wrong with a stop, red on a terminal, before everything else."""
     click.secho(f"{text}, use the emergency stop circuit", fg="red", bold=True, err=True)
 
 
-def _words(action: str) -> str:
+def spoken(action: str) -> str:
+    """Return an action in words, such as `quick stop`."""
     return action.replace("-", " ")
 
 

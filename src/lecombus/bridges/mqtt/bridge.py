@@ -11,7 +11,7 @@ if it cannot, the broker does.
 from __future__ import annotations
 
 import logging
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -28,6 +28,7 @@ from lecombus.bridges.mqtt.commands import PULSE_EVERY_S, VERBS, Commands, Pulse
 from lecombus.bridges.mqtt.discovery import Discovery
 from lecombus.bridges.mqtt.event_queue import EventQueue
 from lecombus.bridges.mqtt.retained import (
+    EMPTY,
     OFFLINE,
     Message,
     drive_messages,
@@ -36,7 +37,9 @@ from lecombus.bridges.mqtt.retained import (
     state_message,
 )
 from lecombus.bridges.mqtt.seen_commands import SeenCommands
+from lecombus.bridges.mqtt.summary import Summary
 from lecombus.bridges.mqtt.topics import Topics
+from lecombus.bridges.watchdog_misses import watch_misses
 from lecombus.client import Event
 from lecombus.roster import MqttEntry, Roster
 
@@ -44,6 +47,9 @@ __all__ = ["MqttBridge"]
 
 LOOK_EVERY_S: Final = 0.5
 """How often it is looked what expires soon."""
+
+MISSES_EVERY_S: Final = 10.0
+"""How often the counts of missed watchdogs are read: a page of metrics each time."""
 
 CHANGES_WAIT_S: Final = 0.05
 """Changes that come within this are sent together."""
@@ -84,6 +90,7 @@ class MqttBridge:
         self._will_limits = WillLimits()
         self._broker: Broker | None = None
         self._board = Board()
+        self._summary = Summary(self._topics, roster.line.name)
         self._changed: set[str] = set()
         self._is_all_changed = True
         self._came = anyio.Event()
@@ -122,7 +129,7 @@ class MqttBridge:
         """Run until `stopping` is set, then end in good order."""
         async with anyio.create_task_group() as tasks:
             for work in (self.follower.run, self._commands.run, self._stay_connected,
-                         self._place.keep):  # fmt: skip
+                         self._place.keep, self._watch_misses):  # fmt: skip
                 tasks.start_soon(work)
             await stopping.wait()
             with anyio.move_on_after(END_WITHIN_S), suppress(BrokerError):
@@ -229,6 +236,7 @@ class MqttBridge:
         for name in self.follower.drives:
             topic = self._topics.drive_state(name)
             await broker.publish(state_message(topic, "unknown", "the bridge has ended", 60))
+        await broker.publish(Message(self._topics.summary, EMPTY))
         await broker.publish(self._offline("the bridge has ended"))
 
     def _offline(self, reason: str) -> Message:
@@ -248,8 +256,9 @@ class MqttBridge:
                 self._is_all_changed = False
                 next_all_s = now_s + LOOK_EVERY_S
                 names = shown | set(self.follower.drives)
-                state = line_state(self._topics, self.follower, now_s)
-                await self._publish(broker, [state], "\0", now_s)
+                whole = [line_state(self._topics, self.follower, now_s),
+                         self._summary.message(self.follower, now_s)]  # fmt: skip
+                await self._publish(broker, whole, "\0", now_s)
             for name in names:
                 shown.add(name)
                 await self._show_drive(broker, name)
@@ -292,6 +301,12 @@ class MqttBridge:
             logger.error("event=mqtt-events-not-kept reason=%s", exc)
         self._place.last_id = event.id or self._place.last_id
         self._event_came.set()
+
+    async def _watch_misses(self) -> None:
+        def take(counts: Mapping[str, int]) -> None:
+            self._summary.watchdog_missed(counts, anyio.current_time())
+
+        await watch_misses(self.follower.socket, MISSES_EVERY_S, take)
 
     # -- events, pulse, devices ------------------------------------------------------------------
 

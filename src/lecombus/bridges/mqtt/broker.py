@@ -49,6 +49,8 @@ PROPERTY_CHARS: Final = 1000
 
 RETAIN_NOT_SUPPORTED: Final = 154
 QOS_NOT_SUPPORTED: Final = 155
+REFUSALS: Final = frozenset((4, 5, 134, 135, 138, 140))
+"""Bad user or password, not authorised, banned, bad authentication; of MQTT 3.1.1 and 5."""
 
 logger = logging.getLogger(__name__)
 
@@ -57,7 +59,16 @@ library_logger.setLevel(logging.CRITICAL)  # what it says stands in the errors t
 
 
 class BrokerError(Exception):
-    """The broker cannot be reached, refuses, or is gone."""
+    """The broker cannot be reached, refuses, or is gone.
+
+    Args:
+        text: What is wrong.
+        is_refused: It was reached, and does not permit it.
+    """
+
+    def __init__(self, text: str, *, is_refused: bool = False) -> None:
+        super().__init__(text)
+        self.is_refused = is_refused
 
 
 @dataclass(slots=True)
@@ -118,6 +129,7 @@ class Incoming:
         expiry_s: How long it may still wait; None: it does not say.
         response_topic: Where its sender waits for an answer; empty: nowhere.
         correlation: By which the sender knows the answer; None: it gives none.
+        reason: Its user property of this name.
     """
 
     topic: str
@@ -128,6 +140,7 @@ class Incoming:
     expiry_s: int | None = None
     response_topic: str = ""
     correlation: bytes | None = None
+    reason: str = ""
 
 
 class BridgeClient(aiomqtt.Client):
@@ -135,6 +148,10 @@ class BridgeClient(aiomqtt.Client):
 
     limits = Limits()
     take: Callable[[Incoming], None]
+
+    def __init__(self, *words: Any, **more: Any) -> None:
+        super().__init__(*words, **more)
+        self._acknowledged: dict[int, asyncio.Future[int]] = {}
 
     def _on_connect(
         self, client: Any, userdata: Any, flags: Any, reason_code: Any, properties: Any = None
@@ -154,6 +171,7 @@ class BridgeClient(aiomqtt.Client):
                 getattr(found, "MessageExpiryInterval", None),
                 getattr(found, "ResponseTopic", ""),
                 getattr(found, "CorrelationData", None),
+                dict(getattr(found, "UserProperty", ())).get("reason", ""),
             )
         )
 
@@ -174,6 +192,31 @@ class BridgeClient(aiomqtt.Client):
         except (OSError, ValueError) as exc:
             if not self._disconnected.done():
                 self._disconnected.set_exception(exc)
+
+    def _on_publish(
+        self, client: Any, userdata: Any, mid: int, reason_code: Any, properties: Any
+    ) -> None:
+        waiting = self._acknowledged.get(mid)
+        if waiting is not None and not waiting.done():
+            waiting.set_result(int(reason_code.value))
+        super()._on_publish(client, userdata, mid, reason_code, properties)
+
+    async def publish_for_reason(
+        self, topic: str, payload: bytes, qos: int, properties: Properties
+    ) -> int:
+        """Send a message with QoS 1 or 2; returns the reason code that acknowledges it.
+
+        Raises:
+            MqttError: The connection is lost, or it is not acknowledged in time.
+        """
+        sent = self._client.publish(topic, payload, qos, False, properties)
+        if sent.rc != 0:
+            raise aiomqtt.MqttCodeError(sent.rc, "Could not publish message")
+        waiting = self._acknowledged[sent.mid] = asyncio.get_running_loop().create_future()
+        try:
+            return await self._wait_for(waiting, None)
+        finally:
+            del self._acknowledged[sent.mid]
 
     def abandon(self) -> None:
         """Close the connection, if it is still open, without a word to the broker."""
@@ -220,6 +263,23 @@ class Broker:
             raise BrokerError(str(exc)) from exc
         return True
 
+    async def publish_for_reason(self, message: Message) -> int:
+        """Send a message that is acknowledged; returns MQTT's reason code, 0 if there is none.
+
+        Raises:
+            BrokerError: The connection is lost, or it is not acknowledged in time.
+        """
+        if not self.limits.qos:
+            await self.publish(message)
+            return 0
+        try:
+            async with self._under_way:
+                return await self._client.publish_for_reason(
+                    message.topic, message.payload, 1, properties_of(message)
+                )
+        except (aiomqtt.MqttError, ValueError) as exc:
+            raise BrokerError(str(exc)) from exc
+
     def _is_too_big(self, message: Message) -> bool:
         """Whether the broker would end the connection because of a message."""
         most = self.limits.packet_bytes
@@ -234,32 +294,46 @@ class Broker:
             )
         return True
 
-    async def subscribe(self, filters: tuple[str, ...], *, retained: bool = False) -> None:
-        """Subscribe.
+    async def subscribe(
+        self,
+        filters: tuple[str, ...],
+        *,
+        retained: bool = False,
+        qos: int = 2,
+        as_published: bool = True,
+        within_s: float = SENT_WITHIN_S,
+    ) -> None:
+        """Subscribe, and wait until the broker says so.
 
         Args:
             filters: Topics, with wildcards where the broker takes them.
             retained: Whether what stands there is wanted; otherwise only what comes from now on.
+            qos: The highest quality of service of what comes.
+            as_published: Whether what comes now is marked as retained where its sender did that;
+                otherwise only what stood at the broker already.
+            within_s: How long to wait for the acknowledgement, seconds.
 
         Raises:
-            BrokerError: The broker refuses, or the connection is lost.
+            BrokerError: The broker refuses, does not answer, or the connection is lost.
         """
         handling = (
             SubscribeOptions.RETAIN_SEND_ON_SUBSCRIBE if retained
             else SubscribeOptions.RETAIN_DO_NOT_SEND
         )  # fmt: skip
         options = SubscribeOptions(
-            qos=min(2, self.limits.qos), noLocal=True, retainAsPublished=True,
+            qos=min(qos, self.limits.qos), noLocal=True, retainAsPublished=as_published,
             retainHandling=handling,
         )  # fmt: skip
         wanted: Any = [(one, options) for one in filters]
         try:
-            found = await self._client.subscribe(wanted)
+            found = await self._client.subscribe(wanted, timeout=within_s)
         except (aiomqtt.MqttError, ValueError) as exc:
             raise BrokerError(str(exc)) from exc
         for topic, code in zip(filters, found, strict=False):
             if getattr(code, "is_failure", False):
-                raise BrokerError(f"it does not let the bridge subscribe to {topic}: {code}")
+                raise BrokerError(
+                    f"it does not let this user subscribe to {topic}: {code}", is_refused=True
+                )
 
     async def lost(self) -> None:
         """Wait until the connection is lost.
@@ -283,6 +357,8 @@ def properties_of(message: Message) -> Properties:
         properties.ContentType = message.content_type
     if message.response is not None:
         properties.CorrelationData = message.response
+    if message.response_topic:
+        properties.ResponseTopic = message.response_topic
     if message.properties:
         properties.UserProperty = [
             (key, text[:PROPERTY_CHARS].replace("\0", "")) for key, text in message.properties
@@ -294,7 +370,7 @@ def properties_of(message: Message) -> Properties:
 async def open_broker(
     entry: MqttEntry,
     identifier: str,
-    will: Message,
+    will: Message | None,
     will_limits: WillLimits,
     take: Callable[[Incoming], None],
 ) -> AsyncIterator[Broker]:
@@ -302,8 +378,8 @@ async def open_broker(
 
     Args:
         entry: The broker, and how it is spoken to.
-        identifier: Who the bridge is.
-        will: What the broker says when the bridge is lost.
+        identifier: Who the client is.
+        will: What the broker says when the client is lost; None: nothing.
         will_limits: What it takes of that; changed when it turns out to be less.
         take: Called with each message that comes.
 
@@ -333,11 +409,11 @@ def refusal(exc: aiomqtt.MqttError, will_limits: WillLimits) -> BrokerError:
         will_limits.retain = False
     elif code == QOS_NOT_SUPPORTED:
         will_limits.qos = 0
-    return BrokerError(str(exc) or "it does not answer in time")
+    return BrokerError(str(exc) or "it does not answer in time", is_refused=code in REFUSALS)
 
 
 def client_for(
-    entry: MqttEntry, identifier: str, will: Message, will_limits: WillLimits
+    entry: MqttEntry, identifier: str, will: Message | None, will_limits: WillLimits
 ) -> BridgeClient:
     """Return a client that is not connected yet.
 
@@ -348,10 +424,12 @@ def client_for(
     properties.SessionExpiryInterval = 0
     properties.ReceiveMaximum = INCOMING_AT_ONCE
     properties.MaximumPacketSize = INCOMING_BYTES
-    said = aiomqtt.Will(
-        will.topic, will.payload, min(will.qos, will_limits.qos),
-        will.is_retained and will_limits.retain,
-    )  # fmt: skip
+    said = None
+    if will is not None:
+        said = aiomqtt.Will(
+            will.topic, will.payload, min(will.qos, will_limits.qos),
+            will.is_retained and will_limits.retain,
+        )  # fmt: skip
     return BridgeClient(
         entry.host, entry.port, username=entry.username, password=password_of(entry),
         identifier=identifier, protocol=aiomqtt.ProtocolVersion.V5, will=said, clean_start=True,

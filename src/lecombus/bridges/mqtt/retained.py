@@ -18,7 +18,17 @@ import msgspec
 from lecombus.bridges.line_follower import FollowedDrive, FollowedValue, LineFollower
 from lecombus.bridges.mqtt.topics import Topics
 
-__all__ = ["EMPTY", "OFFLINE", "ONLINE", "Message", "drive_messages", "json_bytes", "line_state"]
+__all__ = [
+    "DAEMON_AWAY",
+    "EMPTY",
+    "OFFLINE",
+    "ONLINE",
+    "Message",
+    "drive_messages",
+    "json_bytes",
+    "line_state",
+    "line_word",
+]
 
 ENCODER: Final = msgspec.json.Encoder(decimal_format="number")
 
@@ -50,7 +60,8 @@ class Message:
         content_type: Its MIME type; empty: plain text.
         mark: What makes it worth sending again; a message that only got older has the same.
         until_s: When what it says is no longer known to be so, by `anyio.current_time`.
-        response: Of an answer: the data by which the asker knows it.
+        response: By what the asker knows an answer: of the answer, and of what asks for it.
+        response_topic: Where an answer is wanted; empty: none is.
     """
 
     topic: str
@@ -63,20 +74,25 @@ class Message:
     mark: Any = None
     until_s: float = inf
     response: bytes | None = None
+    response_topic: str = ""
 
 
 def line_state(topics: Topics, follower: LineFollower, now_s: float) -> Message:
-    """Return how the line is doing: `online`, `daemon-away`, `lost` or `closed`.
+    """Return how the line is doing.
 
     It expires: the broker says `offline` in the bridge's name when the bridge is lost, but not if
     it was itself ended first, and it may have kept this on its disk.
     """
-    if not follower.is_connected or follower.line is None:
-        word, reason = DAEMON_AWAY, follower.why_away
-    else:
-        word, reason = follower.line.state, follower.line.reason
-        word = ONLINE if word == "open" else word
+    word, reason = line_word(follower)
     return state_message(topics.line_state, word, reason, STATE_STANDS_S, now_s + STATE_STANDS_S)
+
+
+def line_word(follower: LineFollower) -> tuple[str, str]:
+    """Return `online`, `daemon-away`, `lost` or `closed`, and the reason."""
+    if not follower.is_connected or follower.line is None:
+        return DAEMON_AWAY, follower.why_away
+    word = follower.line.state
+    return ONLINE if word == "open" else word, follower.line.reason
 
 
 def state_message(

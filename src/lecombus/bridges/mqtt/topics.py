@@ -44,6 +44,11 @@ class Topics:
         return f"{self.root}/state"
 
     @property
+    def summary(self) -> str:
+        """The line in one message, for those who follow many."""
+        return f"{self.root}/summary"
+
+    @property
     def line_event(self) -> str:
         """What happens to the line."""
         return f"{self.root}/event"

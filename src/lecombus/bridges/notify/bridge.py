@@ -9,13 +9,11 @@ another.
 from __future__ import annotations
 
 import logging
-import re
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Final, NoReturn
 
 import anyio
-import httpx2
 
 from lecombus.bridges.line_follower import LineFollower
 from lecombus.bridges.notify.channels import Channel, NotSentError, channels_of
@@ -27,7 +25,7 @@ from lecombus.bridges.notify.messages import (
     message_of,
     trial_message,
 )
-from lecombus.client import ClientError, connect
+from lecombus.bridges.watchdog_misses import watch_misses
 from lecombus.roster import NotifyEntry, Roster
 
 __all__ = ["Sender", "run_bridge", "send_test"]
@@ -39,10 +37,6 @@ LONGEST_PAUSE_S: Final = 300.0
 LOOK_EVERY_S: Final = 0.5
 MISSES_EVERY_S: Final = 5.0
 """How often the counts of missed watchdogs are read: a page of metrics each time."""
-
-MISSES: Final = re.compile(
-    r'^lecombus_watchdog_misses_total\{[^}]*drive="([^"]+)"[^}]*\} ([0-9.e+]+)$', re.MULTILINE
-)
 
 logger = logging.getLogger(__name__)
 
@@ -142,29 +136,10 @@ async def run_bridge(
         for sender in senders:
             tasks.start_soon(sender.run)
         if "watchdog-missed" in entry.events:
-            tasks.start_soon(watch_misses, socket, conditions)
+            tasks.start_soon(watch_misses, socket, MISSES_EVERY_S, conditions.watchdog_missed)
         while True:
             conditions.look()
             await anyio.sleep(LOOK_EVERY_S)
-
-
-async def watch_misses(socket: str, conditions: Conditions) -> NoReturn:
-    """Read the counts of missed watchdogs every few seconds; a daemon that is away has none."""
-    while True:
-        try:
-            async with connect(socket) as line:
-                while True:
-                    answer = await line.connection.http.get("/metrics")
-                    if answer.status_code == 200:
-                        conditions.watchdog_missed(misses_of(answer.text))
-                    await anyio.sleep(MISSES_EVERY_S)
-        except (ClientError, httpx2.HTTPError):
-            await anyio.sleep(MISSES_EVERY_S)
-
-
-def misses_of(page: str) -> Mapping[str, int]:
-    """Return by drive how often its watchdog was missed, from a page of metrics."""
-    return {drive: int(float(count)) for drive, count in MISSES.findall(page)}
 
 
 async def send_test(roster: Roster, entry: NotifyEntry) -> list[tuple[str, str | None]]:
