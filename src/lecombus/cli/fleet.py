@@ -7,6 +7,7 @@ that is not known to be so now: with the broker away every line is `unknown`.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -93,8 +94,8 @@ def broker_options(function: Function) -> Function:
         help="Take broker, topics, TLS and user from `mqtt` of this roster.",
     )(command)  # fmt: skip
     return click.option(
-        "--broker", "url", metavar="URL", envvar="LECOMBUS_BROKER",
-        help="The broker: mqtt://HOST[:PORT], or mqtts:// with TLS.",
+        "--broker", "url", metavar="URL",
+        help="The broker: mqtt://HOST[:PORT], or mqtts:// with TLS. Default: LECOMBUS_BROKER.",
     )(command)  # fmt: skip
 
 
@@ -225,7 +226,12 @@ def broker_of(given: Mapping[str, Any]) -> BrokerOptions:
     from lecombus.roster import MqttEntry
 
     roster, url = given["roster"], given["url"]
+    if roster is None and url is None:
+        url = os.environ.get("LECOMBUS_BROKER") or None
     more = {name: given[name] for name in OPTIONS[3:] if given[name] is not None}
+    if roster is not None and url is not None:
+        problem = "--broker and a roster are both given"
+        raise CommandError(Exit.USAGE, problem, "leave one of them out")
     if roster is not None:
         from lecombus.config import load_roster
 

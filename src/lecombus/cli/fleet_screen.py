@@ -23,6 +23,9 @@ __all__ = ["FleetScreen", "headline", "rows_of", "show_once"]
 
 HEADINGS: Final = ("line", "needs attention", "drive", "why", "for", "drives", "news")
 
+STATES: Final = ("online", "degraded", "starting", "offline", "unknown")
+"""The order in which drives are counted; others come behind them."""
+
 DRIVES_NAMED: Final = 3
 
 RED: Final = frozenset(
@@ -63,7 +66,8 @@ def rows_of(view: LineView) -> list[tuple[str, ...]]:
 
 def drives_text(drives: Mapping[str, int]) -> str:
     """Return `4 online, 1 offline`."""
-    return ", ".join(f"{count} {harmless(word)}" for word, count in drives.items() if count)
+    order = {**dict.fromkeys(STATES), **drives}
+    return ", ".join(f"{count} {harmless(word)}" for word, count in order.items() if count)
 
 
 def headline(where: str, lines: FleetLines, views: Sequence[LineView]) -> tuple[str, str]:

@@ -112,7 +112,7 @@ class FleetFollower:
                 self._ticked_s = self._clock()
                 for work in (Broker.lost, self._pulse, self._tick):
                     tasks.start_soon(until_lost, work)
-            raise why[0]
+            raise BrokerError(f"the connection ended: {why[0]}", is_refused=why[0].is_refused)
 
     async def _pulse(self, broker: Broker) -> NoReturn:
         """Ask for what stands there, then show again and again that nothing is late."""

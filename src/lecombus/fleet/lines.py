@@ -54,6 +54,16 @@ STATE_KINDS: Final[Mapping[str, str]] = {
 }  # fmt: skip
 """By the word of `state` and of a summary."""
 
+BROKER_AWAY: Final = "the broker is away: nothing is known of the line as it is now"
+
+TEXTS: Final[Mapping[str, str]] = {
+    "bridge-offline": "its bridge is not connected to the broker",
+    "daemon-away": "the daemon does not answer the bridge",
+    "line-lost": "the port is lost",
+    "line-closed": "the port is closed",
+}
+"""Where no reason is given."""
+
 NOTHING_KNOWN: Final = frozenset(("unknown", "missing", "bridge-offline", "no-news", "daemon-away"))
 """With these nothing is known of the drives."""
 
@@ -356,8 +366,7 @@ class FleetLines:
         views = [self._view(known, now_s) for known in self._lines.values()]
         if self.is_settled or self.why_away:
             there = {known.name for known in self._lines.values()}
-            text = f"nothing of it is known: the broker is away: {self.why_away}"
-            kind, why = "unknown", text
+            kind, why = "unknown", BROKER_AWAY
             if not self.why_away:
                 kind, why = "missing", "it is expected, and nothing of it stands at the broker"
             views += [
@@ -389,7 +398,7 @@ class FleetLines:
         """Return what needs attention of the line as a whole."""
         if self.why_away:
             for_s = None if self.lost_s is None else now_s - self.lost_s
-            return [Need("unknown", "", f"the broker is away: {self.why_away}", for_s)]
+            return [Need("unknown", "", BROKER_AWAY, for_s)]
         found = []
         if now_s - known.clash_s < CLASH_STANDS_S and known.summary is not None:
             hosts = " and ".join(dict.fromkeys((known.summary.host, known.other_host)))
@@ -400,7 +409,7 @@ class FleetLines:
             kind, reason = "no-news", known.fault or "no summary of it stands at the broker"
             for_s = None if known.made_s == -inf else now_s - known.made_s
         if kind != OK:
-            found.append(Need(kind, "", reason or kind.replace("-", " "), for_s))
+            found.append(Need(kind, "", reason or TEXTS.get(kind, ""), for_s))
         return found
 
     def _word(self, known: Known, *, is_fresh: bool) -> tuple[str, str]:
