@@ -13,7 +13,7 @@ import pytest
 from lecombus.bridges.line_follower import FollowedDrive, FollowedValue, LineFollower
 from lecombus.bridges.mqtt.board import Board
 from lecombus.bridges.mqtt.retained import Message
-from lecombus.bridges.mqtt.summary import KINDS, STANDS_S, Summary
+from lecombus.bridges.mqtt.summary import KINDS, STANDS_S, LineSummarizer
 from lecombus.bridges.mqtt.topics import Topics
 from lecombus.client import LineStatus, Quality, Reading
 from lecombus.supervision.lease_watch import LATCHES
@@ -29,7 +29,7 @@ class Scene:
         self.follower = LineFollower("/nowhere")
         self.follower.is_connected = True
         self.line()
-        self.summary = Summary(Topics("plant/lecombus", "hall-3"), "hall-3")
+        self.summary = LineSummarizer(Topics("plant/lecombus", "hall-3"), "hall-3")
         for name, address in (("feeder", 11), ("belt", 12), ("fan", 13)):
             one = FollowedDrive(name, address, "8200vector", "online", doing="running")
             self.follower.drives[name] = one
@@ -75,7 +75,7 @@ def test_a_line_that_is_well_says_so(scene: Scene) -> None:
     assert said["doing"] == {"running": 3}
     assert (said["attention"], said["more"], said["stands_s"]) == ([], 0, STANDS_S)
     assert said["bridge"] == scene.summary.bridge
-    assert Summary(Topics("a", "b"), "b").bridge != scene.summary.bridge
+    assert LineSummarizer(Topics("a", "b"), "b").bridge != scene.summary.bridge
 
 
 def test_what_needs_attention_stands_worst_first(scene: Scene) -> None:

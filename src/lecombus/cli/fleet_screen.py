@@ -8,6 +8,7 @@ from __future__ import annotations
 import shutil
 import sys
 from collections.abc import Mapping, Sequence
+from datetime import datetime
 from typing import TYPE_CHECKING, Final, Self
 
 import click
@@ -17,7 +18,8 @@ from lecombus.cli.screen import Styled, age, counted, harmless, on_terminal, sho
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from lecombus.fleet.lines import FleetLines, LineView, Need
+    from lecombus.bridges.mqtt.summary import Attention
+    from lecombus.fleet.lines import FleetLines, LineView
 
 __all__ = ["FleetScreen", "headline", "rows_of", "show_once"]
 
@@ -44,7 +46,7 @@ def rows_of(view: LineView) -> list[tuple[str, ...]]:
         news = age(view.age_s)
     if not view.needs:
         return [(name, Styled("ok", ""), "", "", "", drives, news)]
-    kinds: dict[str, list[Need]] = {}
+    kinds: dict[str, list[Attention]] = {}
     for one in view.needs:
         kinds.setdefault(one.kind, []).append(one)
     rows: list[tuple[str, ...]] = []
@@ -143,6 +145,8 @@ class FleetScreen:
         from rich.text import Text
 
         text, style = headline(self._where, lines, views)
+        # The time stands there because the table stays on the terminal after the end.
+        text = f"{datetime.now():%H:%M:%S}  {text}"
         said = [Text(text, style=style), *(Text(note) for note in notes(lines, views))]
         room = max(1, height - len(said) - 4)
         rows: list[tuple[str, ...]] = []

@@ -19,9 +19,9 @@ from dataclasses import dataclass, field
 from math import inf
 from typing import Any, Final
 
-from lecombus.bridges.mqtt.summary import KINDS
+from lecombus.bridges.mqtt.summary import KINDS, Attention
 
-__all__ = ["LINE_KINDS", "OK", "FleetLines", "LineView", "Need", "filters_of", "rank_of", "total"]
+__all__ = ["LINE_KINDS", "OK", "FleetLines", "LineView", "filters_of", "rank_of", "total"]
 
 LINE_KINDS: Final = (
     "unknown", "missing", "name-clash", "bridge-offline", "no-news", "daemon-away", "line-lost",
@@ -69,23 +69,6 @@ NOTHING_KNOWN: Final = frozenset(("unknown", "missing", "bridge-offline", "no-ne
 
 
 @dataclass(frozen=True, slots=True)
-class Need:
-    """Something that needs attention.
-
-    Args:
-        kind: One of `LINE_KINDS` or of the kinds of a summary.
-        drive: Which drive; empty: the line.
-        text: What it is, in words.
-        for_s: For how long, seconds; None: that is not known.
-    """
-
-    kind: str
-    drive: str
-    text: str
-    for_s: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
 class LineView:
     """A line as it is known at one moment.
 
@@ -105,7 +88,7 @@ class LineView:
     root: str
     name: str
     status: str
-    needs: tuple[Need, ...]
+    needs: tuple[Attention, ...]
     more: int
     drives: Mapping[str, int]
     doing: Mapping[str, int]
@@ -129,7 +112,7 @@ class LineView:
 
 
 @dataclass(frozen=True, slots=True)
-class Summary:
+class LineSummary:
     """A line's summary, as its bridge sent it.
 
     Args:
@@ -153,11 +136,11 @@ class Summary:
     stands_s: float
     drives: Mapping[str, int]
     doing: Mapping[str, int]
-    needs: tuple[Need, ...]
+    needs: tuple[Attention, ...]
     more: int
 
     @classmethod
-    def of(cls, payload: bytes) -> Summary:
+    def of(cls, payload: bytes) -> LineSummary:
         """Read a summary.
 
         Raises:
@@ -181,7 +164,7 @@ class Summary:
 
 
 @dataclass(slots=True)
-class Known:
+class KnownLine:
     """What is known of one line."""
 
     root: str
@@ -190,7 +173,7 @@ class Known:
     reason: str = ""
     state_at_s: float | None = None
     """When the state came, if it did not stand at the broker already."""
-    summary: Summary | None = None
+    summary: LineSummary | None = None
     fault: str = ""
     """What is wrong with the last summary."""
     came_s: float = -inf
@@ -226,7 +209,7 @@ class FleetLines:
     is_settled: bool = False
     ignored: int = 0
     left_out: int = 0
-    _lines: dict[str, Known] = field(default_factory=dict)
+    _lines: dict[str, KnownLine] = field(default_factory=dict)
 
     def __len__(self) -> int:
         """Return how many lines there are."""
@@ -322,7 +305,7 @@ class FleetLines:
                 self._lines[root].good_until_s = -inf
             return
         try:
-            summary = Summary.of(payload)
+            summary = LineSummary.of(payload)
         except ValueError as exc:
             if root in self._lines:
                 self._lines[root].fault = f"its summary cannot be read: {str(exc)[:100]}"
@@ -349,10 +332,10 @@ class FleetLines:
         if known.state == "offline" and is_back and not is_retained:
             known.state, known.state_at_s = summary.state, now_s
 
-    def _known(self, root: str, name: str, *, is_line: bool) -> Known | None:
+    def _known(self, root: str, name: str, *, is_line: bool) -> KnownLine | None:
         known = self._lines.get(root)
         if known is None and is_line and len(self._lines) < LINES_MOST:
-            known = self._lines[root] = Known(root, name)
+            known = self._lines[root] = KnownLine(root, name)
         elif known is None and is_line:
             self.left_out += 1
         elif known is None:
@@ -369,15 +352,15 @@ class FleetLines:
             kind, why = "unknown", BROKER_AWAY
             if not self.why_away:
                 kind, why = "missing", "it is expected, and nothing of it stands at the broker"
+            needs = (Attention(kind, "", why),)
             views += [
-                LineView(f"{self.prefixes[0]}/{name}", name, kind, (Need(kind, "", why),), 0, {},
-                         {}, None, "", "")
+                LineView(f"{self.prefixes[0]}/{name}", name, kind, needs, 0, {}, {}, None, "", "")
                 for name in self.expected - there
-            ]  # fmt: skip
+            ]
         views.sort(key=lambda one: (rank_of(one.status), -len(one.needs), one.name, one.root))
         return views
 
-    def _view(self, known: Known, now_s: float) -> LineView:
+    def _view(self, known: KnownLine, now_s: float) -> LineView:
         summary, is_fresh = known.summary, now_s < known.good_until_s
         found = self._needs(known, now_s, is_fresh=is_fresh)
         drives: Mapping[str, int] = {} if summary is None else summary.drives
@@ -394,25 +377,25 @@ class FleetLines:
             "" if summary is None else summary.host, "" if summary is None else summary.version,
         )  # fmt: skip
 
-    def _needs(self, known: Known, now_s: float, *, is_fresh: bool) -> list[Need]:
+    def _needs(self, known: KnownLine, now_s: float, *, is_fresh: bool) -> list[Attention]:
         """Return what needs attention of the line as a whole."""
         if self.why_away:
             for_s = None if self.lost_s is None else now_s - self.lost_s
-            return [Need("unknown", "", BROKER_AWAY, for_s)]
+            return [Attention("unknown", "", BROKER_AWAY, for_s)]
         found = []
         if now_s - known.clash_s < CLASH_STANDS_S and known.summary is not None:
             hosts = " and ".join(dict.fromkeys((known.summary.host, known.other_host)))
-            found.append(Need("name-clash", "", f"two bridges use this name, on {hosts}"))
+            found.append(Attention("name-clash", "", f"two bridges use this name, on {hosts}"))
         kind, reason = self._word(known, is_fresh=is_fresh)
         for_s = None if known.state_at_s is None else now_s - known.state_at_s
         if kind == OK and not is_fresh:
             kind, reason = "no-news", known.fault or "no summary of it stands at the broker"
             for_s = None if known.made_s == -inf else now_s - known.made_s
         if kind != OK:
-            found.append(Need(kind, "", reason or TEXTS.get(kind, ""), for_s))
+            found.append(Attention(kind, "", reason or TEXTS.get(kind, ""), for_s))
         return found
 
-    def _word(self, known: Known, *, is_fresh: bool) -> tuple[str, str]:
+    def _word(self, known: KnownLine, *, is_fresh: bool) -> tuple[str, str]:
         """Return the kind that the state's word stands for, or a worse one of the summary."""
         found = []
         if known.state is not None:
@@ -429,7 +412,7 @@ class FleetLines:
         return min(kinds, key=lambda one: rank_of(one[0]), default=(OK, ""))
 
 
-def look_for_clash(known: Known, summary: Summary, now_s: float) -> None:
+def look_for_clash(known: KnownLine, summary: LineSummary, now_s: float) -> None:
     """Notice that a bridge comes back that another one had followed: two use one name."""
     before = known.summary
     if before is None or before.bridge == summary.bridge:
@@ -454,10 +437,10 @@ def all_unknown(counts: Mapping[str, int]) -> Mapping[str, int]:
     return {"unknown": sum(counts.values())} if counts else {}
 
 
-def aged(need: Need, age_s: float) -> Need:
+def aged(need: Attention, age_s: float) -> Attention:
     """Return what needs attention with the time that went by since it was said."""
     for_s = None if need.for_s is None else need.for_s + age_s
-    return Need(need.kind, need.drive, need.text, for_s)
+    return Attention(need.kind, need.drive, need.text, for_s)
 
 
 def total(views: Iterable[LineView], of: Callable[[LineView], Mapping[str, int]]) -> dict[str, int]:
@@ -478,10 +461,10 @@ def counts_of(found: Mapping[str, Any]) -> Mapping[str, int]:
     return {text_of(key)[:20]: max(0, int(count)) for key, count in list(found.items())[:12]}
 
 
-def need_of(found: Mapping[str, Any]) -> Need:
+def need_of(found: Mapping[str, Any]) -> Attention:
     """Return something that needs attention as a summary has it."""
     for_s = float(found.get("for_s") or 0)
-    return Need(
+    return Attention(
         text_of(found["kind"])[:40] or "remark", text_of(found.get("drive")),
         text_of(found.get("text")), for_s if 0 <= for_s < inf else None,
     )  # fmt: skip

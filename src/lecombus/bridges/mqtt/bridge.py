@@ -37,7 +37,7 @@ from lecombus.bridges.mqtt.retained import (
     state_message,
 )
 from lecombus.bridges.mqtt.seen_commands import SeenCommands
-from lecombus.bridges.mqtt.summary import Summary
+from lecombus.bridges.mqtt.summary import LineSummarizer
 from lecombus.bridges.mqtt.topics import Topics
 from lecombus.bridges.watchdog_misses import watch_misses
 from lecombus.client import Event
@@ -90,7 +90,7 @@ class MqttBridge:
         self._will_limits = WillLimits()
         self._broker: Broker | None = None
         self._board = Board()
-        self._summary = Summary(self._topics, roster.line.name)
+        self._summary = LineSummarizer(self._topics, roster.line.name)
         self._changed: set[str] = set()
         self._is_all_changed = True
         self._came = anyio.Event()

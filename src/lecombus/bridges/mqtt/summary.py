@@ -20,7 +20,7 @@ from lecombus.bridges.mqtt.retained import Message, json_bytes, line_word
 from lecombus.bridges.mqtt.topics import Topics
 from lecombus.client import Quality
 
-__all__ = ["KINDS", "STANDS_S", "Summary"]
+__all__ = ["KINDS", "STANDS_S", "Attention", "LineSummarizer"]
 
 STANDS_S: Final = 30
 """How long a summary stands; it is renewed when a third of that is left."""
@@ -47,21 +47,23 @@ HOLDS: Final = "without a controller"
 
 
 @dataclass(frozen=True, slots=True)
-class Item:
+class Attention:
     """Something that needs attention.
 
     Args:
-        kind: One of `KINDS`.
+        kind: One of `KINDS`, or of a line as a whole.
         drive: Which drive; empty: the line.
         text: What it is, in words.
+        for_s: For how long, seconds; None: that is not known.
     """
 
     kind: str
     drive: str
     text: str
+    for_s: float | None = None
 
 
-class Summary:
+class LineSummarizer:
     """The summary of one line.
 
     Args:
@@ -117,7 +119,7 @@ class Summary:
             expiry_s=STANDS_S, until_s=now_s + STANDS_S, mark=mark,
         )  # fmt: skip
 
-    def _items(self, follower: LineFollower, now_s: float) -> Iterator[Item]:
+    def _items(self, follower: LineFollower, now_s: float) -> Iterator[Attention]:
         """Find what needs attention; nothing but that the daemon is away while it is."""
         line = follower.line
         if not follower.is_connected or line is None:
@@ -139,7 +141,7 @@ class Summary:
                 yield item("watchdog-missed", drive.name, text)
 
 
-def drive_items(drive: FollowedDrive, *, is_lapsed: bool) -> Iterator[Item]:
+def drive_items(drive: FollowedDrive, *, is_lapsed: bool) -> Iterator[Attention]:
     """Find what needs attention of a drive, whether it answers now or not."""
     fault = drive.fault
     if fault is not None:
@@ -155,7 +157,7 @@ def drive_items(drive: FollowedDrive, *, is_lapsed: bool) -> Iterator[Item]:
             yield item("remark", drive.name, text)
 
 
-def answer_items(drive: FollowedDrive, follower: LineFollower, now_s: float) -> Iterator[Item]:
+def answer_items(drive: FollowedDrive, follower: LineFollower, now_s: float) -> Iterator[Attention]:
     """Find what needs attention because of how a drive answers, on a line that is open."""
     if drive.state in ("offline", "degraded", "starting"):
         kind = "drive-offline" if drive.state == "offline" else drive.state
@@ -187,7 +189,9 @@ def fault_text(fault: Mapping[str, Any]) -> str:
     return f"{name}: {meaning}" if meaning else f"{name} of a number not known"
 
 
-def item(kind: str, drive: str, text: str) -> Item:
+def item(kind: str, drive: str, text: str) -> Attention:
     """Return something that needs attention, its text of bounded length."""
     text = " ".join(text.split())
-    return Item(kind, drive, text if len(text) <= TEXT_CHARS else f"{text[: TEXT_CHARS - 2]}..")
+    return Attention(
+        kind, drive, text if len(text) <= TEXT_CHARS else f"{text[: TEXT_CHARS - 2]}.."
+    )
