@@ -39,6 +39,7 @@ class ExchangeEvent:
         acknowledged: The drive acknowledged the write.
         to_all: It was a multicast, and it was sent.
         answered: The drive answered, with a value, an acknowledgement or a refusal.
+        lapsed: It answered, and was silent before for its watchdog's time, or was never heard.
     """
 
     report: ExchangeReport
@@ -54,6 +55,7 @@ class ExchangeEvent:
     acknowledged: bool = False
     to_all: bool = False
     answered: bool = False
+    lapsed: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -71,7 +71,7 @@ LEASE_MUTANTS: dict[str, Mutant] = {
         "objection",
         "control.latch is None or use in (Use.SETTING, Use.ENABLE)",
         "True",
-        (2, 1),
+        (0, 4),
         leased=True,
     ),
     "a setpoint is taken while latched and not stopped": Mutant(
@@ -79,7 +79,7 @@ LEASE_MUTANTS: dict[str, Mutant] = {
         "objection",
         "or holds_stop(use)",
         "or use is Use.SETPOINT",
-        (2, 1),
+        (0, 4),
         leased=True,
     ),
     "a lapse is forgotten": Mutant(
@@ -160,7 +160,7 @@ LEASE_MUTANTS: dict[str, Mutant] = {
         "place",
         "self.yields(request)",
         "request.drive in self.silent",
-        (9, 15),
+        (11, 23),
         leased=True,
     ),
     "its own drive's watchdog is left out of the check of a long exchange": Mutant(

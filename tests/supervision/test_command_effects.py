@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+from dataclasses import replace
 from decimal import Decimal
 
 import anyio
@@ -10,12 +12,14 @@ import pytest
 from lecombus.drive_state.motion import Doing
 from lecombus.drive_state.store import LineState, Store
 from lecombus.drives import StopAction, Verb, family
+from lecombus.fieldbus.requests import StepKind
 from lecombus.parameters import Code, Value
-from lecombus.schedule import Outcome
+from lecombus.schedule import Outcome, Priority
 from lecombus.supervision.command_effects import ZERO_GAP_S, CommandEffects
 from support.rosters import roster_text
 from support.single_drives import AskedLine, drive_of, read_of
-from support.site_host import Plant, with_plant
+from support.site_host import Plant, until, with_plant
+from support.virtual_loop import Paused
 
 WORD, OUTPUT, OPERATING, INHIBIT, CONTROL = (Code(one) for one in (150, 50, 68, 40, 135))
 TURNS, STANDS = "H0600", "H0640"
@@ -201,3 +205,73 @@ def test_a_quick_stop_by_a_terminal_is_known_when_the_motor_has_stopped() -> Non
         assert motion.stops[0].name == "quick-stop"
 
     with_plant(test, roster_text(LINE, baud=9600))
+
+
+SHARED = [(f"d{number}", 11 + number, "821x") for number in range(6)]
+WATCHDOG = "{time: 2s, action: quick-stop, configure: true}"
+
+
+@pytest.mark.parametrize("word_as_written", [False, True])
+@pytest.mark.parametrize("lost", [False, True], ids=["pause", "line lost"])
+def test_what_the_watchdogs_did_is_known_soon_after_their_lapse(
+    *, word_as_written: bool, lost: bool
+) -> None:
+    """The drives were unknown until C0068 was read in its turn, up to 10 s later."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await anyio.sleep(20.0)
+        store = plant.site.store
+        for name, *_ in SHARED:
+            await plant.site.operations.verb(name, Verb.ENABLE)
+        await anyio.sleep(12.0)
+        assert {store.motion(name).doing for name, *_ in SHARED} == {Doing.ENABLED}
+        if lost:
+            plant.end.unplug()
+            await anyio.sleep(4.0)
+            plant.end.replug()
+            await until(lambda: store.line().state is LineState.OPEN)
+        else:
+            loop = asyncio.get_running_loop()
+            loop.machine = Paused([(plant.now_s, plant.now_s + 4.0)])  # type: ignore[attr-defined]
+            await anyio.sleep(0.1)
+        await anyio.sleep(2.5 if lost else 1.0)  # behind an opening all are audited besides
+        for name, *_ in SHARED:
+            motion = store.motion(name)
+            assert (motion.doing, [one.name for one in motion.stops]) == (
+                Doing.STOPPED, ["quick-stop"],
+            ), name  # fmt: skip
+
+    text = roster_text(SHARED, baud=9600, watchdog=WATCHDOG)
+    with_plant(test, text, word_as_written=word_as_written)
+
+
+@pytest.mark.parametrize("kind", ["8200vector", "93xx"])
+def test_a_drive_that_shows_no_quick_stop_stays_unknown_after_a_lapse(kind: str) -> None:
+    """Its control word may give back what was last written to it: nothing else is sent for it."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await anyio.sleep(20.0)
+        await plant.site.operations.verb("a", Verb.ENABLE)
+        await anyio.sleep(12.0)
+        assert plant.site.store.motion("a").doing is Doing.ENABLED
+        loop, began_s = asyncio.get_running_loop(), plant.now_s
+        loop.machine = Paused([(began_s, began_s + 4.0)])  # type: ignore[attr-defined]
+        await anyio.sleep(10.0)
+        assert plant.site.store.motion("a").doing is Doing.UNKNOWN
+        after = [one for one in plant.reports if one.result.started_s > began_s + 4.0]
+        assert {one.step.kind for one in after} == {StepKind.READ}
+        assert len([one for one in after if one.priority is Priority.INTERACTIVE]) <= 3
+
+    text = roster_text([("a", 11, kind)], baud=9600, watchdog=WATCHDOG)
+    with_plant(test, text, word_as_written=True)
+
+
+def test_the_first_answer_of_a_drive_calls_for_no_reads() -> None:
+    desk = Desk()
+    event = replace(read_of(desk.drives["a"], WORD, TURNS), lapsed=True)
+    desk.effects.exchange_ended(event)
+    assert desk.asked == []
+    desk.effects.exchange_ended(event)
+    assert desk.asked[0] == ("a", WORD, "soon")

@@ -274,7 +274,7 @@ def test_a_drive_that_stays_away_when_a_flapping_line_is_back_is_told(
                 plant.line.drive_faults[11] = Faults(lost=1.0)
             plant.end.replug()
             await until(lambda: plant.site.worker.is_open)
-            await anyio.sleep(5.0)
+            await anyio.sleep(6.0)
         assert plant.state("a") is DriveState.OFFLINE
         told = [
             one.getMessage()

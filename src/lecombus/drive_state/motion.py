@@ -27,7 +27,8 @@ from lecombus.drive_state.readings import (
     json_value,
     seconds,
 )
-from lecombus.drives import Family, OperatingState, believed_states
+from lecombus.drives import Family, OperatingState, StopAction, believed_states
+from lecombus.drives.stops import shown_after
 from lecombus.parameters import Code, Json, Value
 
 __all__ = [
@@ -40,6 +41,7 @@ __all__ = [
     "motion_of",
     "overtaken_commands",
     "setpoint_codes",
+    "shown_after_lapse",
 ]
 
 OUTPUT: Final = Code(50)
@@ -259,6 +261,21 @@ def _runs_since(
     possible = {state for code in since & family.words.keys()
                 for state in family.words[code].possible_states}  # fmt: skip
     return not lapse.may_quick_stop or OperatingState.QUICK_STOP in possible
+
+
+def shown_after_lapse(family: Family, *, quick_stops: bool) -> tuple[Code, ...]:
+    """Return what must be read before it is known what a drive does after a lapse of its watchdog.
+
+    In an order in which no word read so far shows a drive as enabled that has a quick stop.
+
+    Args:
+        family: Its family.
+        quick_stops: What its watchdog does is a quick stop.
+    """
+    rule = family.stops.get(StopAction.QUICK_STOP) if quick_stops else None
+    stops = () if rule is None else shown_after(family, rule.code)
+    speed = (OUTPUT,) if _has_unit(family, OUTPUT) else ()
+    return tuple(dict.fromkeys((*stops, *list(family.words)[:1], *speed)))
 
 
 def overtaken_commands(family: Family, known: Callable[[Code], Reading | None]) -> frozenset[Code]:

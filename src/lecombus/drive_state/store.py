@@ -232,6 +232,18 @@ class Store:
             return True
         return cell.failure == WRITTEN_SINCE or is_before_command(record, cell)
 
+    def is_from_before_lapse(self, drive: str, code: Code) -> bool:
+        """Say whether what is known of a code is from before the last lapse of the watchdog.
+
+        Raises:
+            OperationError: `no-such-drive`.
+        """
+        record = self._record(drive)
+        cell = record.cells.get(code)
+        if cell is None or cell.value is None:
+            return True
+        return record.lapsed_s is not None and cell.at_s < record.lapsed_s
+
     def write_taken(self, drive: str, code: Code, value: Value, at_s: float) -> None:
         """Keep a write that the drive has acknowledged: of a setpoint, or of its quick stop."""
         record = self._drives[drive]

@@ -1,15 +1,18 @@
 """Status words read sooner than in their own turn, where what is known of a drive calls for it.
 
-Two things call for it:
+Three things call for it:
 
 * A command to stop or to run went out. What the status words said before it counts no longer, so
   that the drive's motion is not known until they are read: the word that proves the stop and the
   first status word are read in the interactive class.
+* A drive answers again after a silence in which its watchdog may have acted. What was read before
+  does not count then either; the speed is read too. The first answer of all calls for nothing: all
+  that is read cyclically has its first turn then.
 * A drive's speed fell to 0 and no command was given. A terminal may have set its quick stop, which
   only the slow second status word (C0068) shows: that is read in the background class, and no more
   often than every `ZERO_GAP_S`.
 
-Of each kind one read is in the schedule at a time, for any number of drives: a read that a user
+Of each class one read is in the schedule at a time, for any number of drives: a read that a user
 waits for has at most one of these in front of it, and what `plan` promises holds.
 """
 
@@ -19,6 +22,7 @@ from collections.abc import Callable
 from typing import Final
 
 from lecombus.drive_state.drive_runtime import Drive
+from lecombus.drive_state.motion import shown_after_lapse
 from lecombus.drive_state.store import Store
 from lecombus.drives import OperatingState
 from lecombus.drives.stops import shown_after
@@ -89,13 +93,18 @@ class CommandEffects:
 
     def __init__(self, store: Store, line: LineRequests, clock: Callable[[], float]) -> None:
         self._clock = clock
-        self._after_command = _OneByOne(
-            line.read_soon, lambda drive, code: store.is_outdated(drive.name, code)
+        self._soon = _OneByOne(
+            line.read_soon,
+            lambda drive, code: (
+                store.is_outdated(drive.name, code) or store.is_from_before_lapse(drive.name, code)
+            ),
         )
         self._at_zero = _OneByOne(line.read_later, lambda drive, code: True)
 
     def exchange_ended(self, event: ExchangeEvent) -> None:
         """Take an exchange."""
+        if event.lapsed and event.drives[0].speed.raw:
+            self.lapsed(event.drives[0])
         if event.is_write:
             for drive in event.drives:
                 self.written(drive, event.code)
@@ -111,7 +120,13 @@ class CommandEffects:
         if codes:
             drive.speed.turns = None  # what its speed does now was asked for
         for one in codes:
-            self._after_command.want(drive, one)
+            self._soon.want(drive, one)
+
+    def lapsed(self, drive: Drive) -> None:
+        """A drive was silent for its watchdog's time: read what shows whether that has acted."""
+        codes = shown_after_lapse(drive.family, quick_stops=drive.watchdog_quick_stops)
+        for one in codes:
+            self._soon.want(drive, one)
 
     def seen(self, drive: Drive, code: Code, value: Value) -> None:
         """Take a new value: of the speed, or of a status word that shows that it is 0."""

@@ -124,6 +124,8 @@ class ExchangeRecorder:
             is_write=is_write,
             acknowledged=acknowledged,
             answered=answer is not None,
+            lapsed=answer is not None
+            and drive.control_word.watchdog_may_have_acted(result.started_s),
         )
 
     def _multicast(self, report: ExchangeReport) -> ExchangeEvent:
@@ -168,10 +170,9 @@ class StoreRecord:
     def exchange_ended(self, event: ExchangeEvent) -> None:
         """Keep what was read, and what is not true any more because it was written."""
         store, code = self._store, event.code
-        if event.answered and event.drives:
+        if event.lapsed:
             drive, began_s = event.drives[0], event.report.result.started_s
-            if drive.control_word.watchdog_may_have_acted(began_s):
-                store.watchdog_lapsed(drive.name, began_s, quick_stops=drive.watchdog_quick_stops)
+            store.watchdog_lapsed(drive.name, began_s, quick_stops=drive.watchdog_quick_stops)
         if event.is_write:
             for drive in event.drives:
                 store.value_written(drive.name, code, event.ended_s)
