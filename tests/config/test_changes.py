@@ -11,6 +11,7 @@ from lecombus.config import (
     parse_roster,
     roster_changes,
     roster_values,
+    value_changes,
 )
 from lecombus.config.changes import FIXED, differing_keys
 from lecombus.config.container_types import ListOf, Table
@@ -156,6 +157,20 @@ def test_the_file_of_the_journal_is_one_of_the_values_of_a_roster() -> None:
     found = roster_values(roster(sections="journal: /var/a.sqlite"))
     assert found["journal.file"] == "/var/a.sqlite"
     assert "file" not in found
+
+
+def test_the_words_of_a_command_are_not_said_and_that_they_differ_is() -> None:
+    """They may hold a password, and who may read the journal may not read the roster."""
+    first, other = (
+        roster_values(roster(sections=f"notify: {{command: [/usr/bin/page, --key, {key}]}}"))
+        for key in ("hunter2", "hunter3")
+    )
+    assert value_changes(first, first) == {}
+    assert value_changes(first, other) == {
+        "notify.command": "/usr/bin/page, *** -> /usr/bin/page, ***"
+    }
+    added = value_changes(roster_values(roster()), first)
+    assert added["notify.command"] == "none -> /usr/bin/page, ***"
 
 
 def test_other_mistakes_are_listed_with_it_as_far_as_they_are_found_then() -> None:

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from pydantic import BaseModel
 
+from lecombus.config.masking import COMMAND_KEYS, MASK
 from lecombus.config.mistakes import Mistakes, Position, Spot
 from lecombus.config.yaml_nodes import MappingNode
 from lecombus.parameters import Json
@@ -147,13 +148,25 @@ def text_of(item: Any) -> str:
 
 
 def value_changes(old: Mapping[str, str], new: Mapping[str, str]) -> dict[str, str]:
-    """Return what differs between two rosters' values, by path: `2.0 -> 3.0`."""
+    """Return what differs between two rosters' values, by path: `2.0 -> 3.0`.
+
+    Of a command only the program is given: its words may hold a password.
+    """
     paths = dict.fromkeys((*new, *old))
     return {
-        path: f"{old.get(path, 'none')} -> {new.get(path, 'none')}"
+        path: f"{given(old, path)} -> {given(new, path)}"
         for path in paths
         if old.get(path) != new.get(path)
     }
+
+
+def given(values: Mapping[str, str], path: str) -> str:
+    """Return a value as it is shown to people."""
+    value = values.get(path, "none")
+    if path.rpartition(".")[2] not in COMMAND_KEYS:
+        return value
+    program, comma, _ = value.partition(", ")
+    return f"{program}{comma}{comma and MASK}"
 
 
 def groups_differ(old: Roster, new: Roster, name: str) -> bool:

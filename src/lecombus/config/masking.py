@@ -23,7 +23,7 @@ from lecombus.drives import FAMILY_NAMES, family
 from lecombus.errors import CodeValueError
 from lecombus.parameters import Code
 
-__all__ = ["MASK", "Masked", "Masker", "mask_roster"]
+__all__ = ["COMMAND_KEYS", "MASK", "Masked", "Masker", "mask_roster"]
 
 MASK: Final = "***"
 
@@ -33,6 +33,9 @@ SECRET_KEY: Final = re.compile(
 SECRET_FILE: Final = "password_file"
 COMMAND_KEYS: Final = frozenset({"command"})
 """Their words may hold anything; the program alone, their first word, is kept."""
+
+COMMAND_PATHS: Final = tuple(f".{key}" for key in COMMAND_KEYS)
+"""How their paths end in rows of the journal that say what changed in a roster."""
 
 SHORTEST: Final = 4
 """Characters of a secret that is masked wherever it stands; shorter ones stand everywhere."""
@@ -84,7 +87,7 @@ class Masker:
         )
 
     def document(self, found: Any) -> Any:
-        """Return a JSON document in which no value of a drive's password is left."""
+        """Return a JSON document without values of drives' passwords and words of commands."""
         if isinstance(found, list):
             return [self.document(one) for one in found]
         if not isinstance(found, dict):
@@ -92,7 +95,9 @@ class Masker:
         hides = is_password(found.get("code"))
         return {
             key: MASK
-            if is_password(key) or (hides and key in ("value", "raw", "text", "old", "reading"))
+            if is_password(key)
+            or key.endswith(COMMAND_PATHS)
+            or (hides and key in ("value", "raw", "text", "old", "reading"))
             else self.document(one)
             for key, one in found.items()
         }
