@@ -360,6 +360,8 @@ def test_what_a_setpoint_depends_on_changes_no_speed_of_a_latched_motor(
             tasks.start_soon(client.renewing)
             before = output(plant)
             assert await written(code) == "latched"
+            restore = client.ops.write("a", Code(code), 15, restoring=True)
+            assert await kind_of_refusal(client.do(restore)) == "latched"
             if kind != "smvector":
                 assert await written(12) == ""  # a ramp: a setting that moves nothing
             await anyio.sleep(20.0)
@@ -372,7 +374,7 @@ def test_what_a_setpoint_depends_on_changes_no_speed_of_a_latched_motor(
 
     more = "also_writable: [C0012]" if kind != "smvector" else "also_writable: []"
     more = more.replace("[", f"[{Code(code)}, " if kind != "smvector" else f"[{Code(code)}")
-    with_plant(test, roster(kind, "hold", more=more))
+    with_plant(test, roster(kind, "hold", more=f"{more}, restore: true"))
 
 
 def test_who_controls_a_latched_drive_is_changed_only_to_the_line_and_while_it_is_inhibited() -> (

@@ -238,10 +238,10 @@ def use_of(of: Family, code: Code, wire: Value, *, restoring: bool = False) -> U
     info = of.info(code)
     if info is not None and info.control_source:
         return Use.TAKE_CONTROL if takes_control(of, code, wire) else Use.MOTION
-    if restoring:
+    if info is not None and not info.motion and acts_on_setpoints(of, code):
+        return Use.SETPOINT
+    if restoring or (info is not None and not info.motion):
         return Use.SETTING
-    if info is not None and not info.motion:
-        return Use.SETPOINT if acts_on_setpoints(of, code) else Use.SETTING
     setpoints = of.verbs.setpoints if of.verbs is not None else ()
     return Use.SETPOINT if any(rule.code == code for rule in setpoints) else Use.MOTION
 
