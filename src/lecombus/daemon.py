@@ -111,7 +111,7 @@ def plain_errors() -> Iterator[None]:
     """
     try:
         yield
-    except BaseExceptionGroup as group:
+    except BaseExceptionGroup as group:  # all of it goes on, but for the group
         wanted, rest = group.split(LecombusError)
         if wanted is None or rest is not None:
             raise

@@ -17,9 +17,16 @@ from lecombus.api.request_models import (
     LeaseBody,
     SpeedBody,
     StopBody,
+    WaitingBody,
 )
 
 MODELS = (DriveWriteBody, StopBody, SpeedBody, AcceptBody)
+
+
+def bodies(model: type[Body]) -> list[type[Body]]:
+    """All models of bodies that are sent: `WaitingBody` is only what others have in common."""
+    found = [one for part in model.__subclasses__() for one in (part, *bodies(part))]
+    return [one for one in found if one is not WaitingBody]
 
 
 def many(row: str) -> bytes:
@@ -51,6 +58,12 @@ def said_of(raw: bytes, model: type[Body]) -> str:
     with pytest.raises(RefusedRequestError) as caught:
         request_checks.checked(request_checks.object_of(raw, model), model)
     return caught.value.problem.detail
+
+
+@pytest.mark.parametrize("model", bodies(Body))
+def test_the_example_that_a_refusal_gives_is_taken(model: type[Body]) -> None:
+    for example in model.example.split(", or "):
+        request_checks.checked(request_checks.object_of(example.encode(), model), model)
 
 
 @pytest.mark.parametrize("model", MODELS)

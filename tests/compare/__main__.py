@@ -24,6 +24,7 @@ from compare import commands, daemon
 from compare.differences import Meant, beginnings, differences, read_meant, shown
 from compare.trees import HOME, Side, side_of
 
+PARTS = ("families", "commands", "http", "wire", "proof")
 SEEDS = 300
 LENGTH_S = 10.0
 
@@ -39,27 +40,31 @@ def inside(side: Side, module: str, *words: str) -> str:
     return found
 
 
-def recorders(asked: argparse.Namespace) -> dict[str, Callable[[Side], str]]:
-    """Return what records each part of a side."""
+def recorders(asked: argparse.Namespace, base: Side) -> dict[str, Callable[[Side], str]]:
+    """Return what records each part of a side, for a comparison with a base."""
     jobs = ("--jobs", str(asked.jobs))
     seeds = f"--first {asked.first} --count {asked.seeds} --length {asked.length}".split()
     return {
         "families": lambda side: inside(side, "families"),
-        "commands": lambda side: commands.record(side, jobs=asked.jobs),
+        "commands": lambda side: commands.record(
+            side, former=base.tree / "config", jobs=asked.jobs
+        ),
         "http": daemon.record,
         "wire": lambda side: inside(side, "proof", "wire", *jobs),
         "proof": lambda side: inside(side, "proof", "seeds", *seeds, *jobs),
     }
 
 
-def recorded(side: Side, part: str, asked: argparse.Namespace) -> str:
+def recorded(side: Side, part: str, asked: argparse.Namespace, base: Side) -> str:
     """Return the record of a part of a side: the one kept, or a new one."""
     more = f"-{asked.first}-{asked.seeds}-{asked.length:g}" if part == "proof" else ""
+    if part == "commands":
+        more = f"-{base.tree.name}"
     kept = HOME / "records" / f"{side.key}-{part}{more}"
     kept.parent.mkdir(parents=True, exist_ok=True)
     if not kept.exists() or asked.fresh:
         begun_s, used_s = time.monotonic(), _processor_s()
-        text = recorders(asked)[part](side)
+        text = recorders(asked, base)[part](side)
         kept.write_text(text)
         took = f"{time.monotonic() - begun_s:.0f} s, processor {_processor_s() - used_s:.0f} s"
         print(f"{part} of {side.name} recorded in {took}", file=sys.stderr, flush=True)
@@ -75,7 +80,7 @@ def compare(
     base: Side, now: Side, part: str, meant: list[Meant], asked: argparse.Namespace
 ) -> bool:
     """Compare one part and say how it went; True where nothing differs but what is meant."""
-    before, after = (recorded(side, part, asked) for side in (base, now))
+    before, after = (recorded(side, part, asked, base) for side in (base, now))
     found = differences(part, before, after, meant)
     said = f", {found.meant} rows differ as meant" if found.meant else ""
     sections = before.count("\n=== ") + before.startswith("=== ")
@@ -104,7 +109,7 @@ def main() -> int:
     parser = argparse.ArgumentParser("make compare", description=__doc__, formatter_class=raw)
     parser.add_argument("--base", required=True, help="the commit that is right")
     parser.add_argument("--to", help="compare this commit, and not the checkout")
-    parser.add_argument("--parts", default="families,commands,http,wire,proof")
+    parser.add_argument("--parts", default=",".join(PARTS))
     parser.add_argument("--first", type=int, default=0, help="the first seed of the proof")
     parser.add_argument("--seeds", type=int, default=SEEDS, help="how many")
     parser.add_argument("--length", type=float, default=LENGTH_S, help="seconds a line is run")
@@ -112,10 +117,8 @@ def main() -> int:
     parser.add_argument("--fresh", action="store_true", help="use no record that is kept")
     asked = parser.parse_args()
     parts = asked.parts.split(",")
-    if unknown := set(parts) - set(recorders(asked)):
-        parser.error(
-            f"there is no part {', '.join(sorted(unknown))}: {', '.join(recorders(asked))}"
-        )
+    if unknown := set(parts) - set(PARTS):
+        parser.error(f"there is no part {', '.join(sorted(unknown))}: {', '.join(PARTS)}")
     base, now = side_of(asked.base), side_of(asked.to)
     meant = read_meant()
     print(f"{base.name} and {now.name}", flush=True)

@@ -21,7 +21,8 @@ FAMILIES = ("820x", "821x", "822x", "824x", "8200vector", "93xx", "smvector", "g
 COMMANDS = ("demo", "run", "check", "plan", "reload", "simulate", "read", "write", "group",
             "enable", "set-speed", "reset-fault", "quick-stop", "inhibit", "stop", "readdress",
             "rebaud", "wear", "accept", "forget-times", "describe", "backup", "diff", "restore",
-            "status", "lease", "leases", "events", "scan", "why")  # fmt: skip
+            "status", "lease", "leases", "events", "journal", "token", "support-bundle", "scan",
+            "bridge", "fleet", "notify", "why")  # fmt: skip
 LINES = """\
 
 --version
@@ -51,6 +52,45 @@ lease service --on feeder
 lease service --on feeder --socket /nowhere.sock -- true
 leases more
 leases --socket /nowhere.sock
+journal more
+journal --last 0
+journal --since nonsense
+journal --socket /nowhere.sock
+journal --socket /nowhere.sock --json
+journal verify --help
+journal verify --socket /nowhere.sock
+token
+token new
+token new --help
+token new PLC --scope write --file /nowhere/tokens
+token new plc --scope nonsense
+token new plc --scope write --file /nowhere/tokens
+token list --help
+token list --file /nowhere/tokens
+token list -c config/small.yaml
+token revoke --help
+token revoke plc --file /nowhere/tokens
+support-bundle more
+support-bundle -c nowhere.yaml -o /nowhere/bundle.tar.gz
+bridge
+bridge opcua
+bridge mqtt
+bridge mqtt --help
+bridge mqtt -c nowhere.yaml
+bridge mqtt -c config/small.yaml
+bridge modbus --help
+bridge modbus -c nowhere.yaml
+bridge modbus -c config/small.yaml
+bridge modbus -c config/small.yaml --map
+bridge modbus -c config/small.yaml --map --markdown
+bridge notify --help
+fleet more
+fleet --frob
+bridge notify -c config/small.yaml
+notify
+notify test --help
+notify test -c nowhere.yaml
+notify test -c config/small.yaml
 reload --socket /nowhere.sock
 simulate
 simulate -c config/small.yaml
@@ -146,6 +186,8 @@ def corpus(rosters: Path) -> Iterator[list[str]]:
     """Give all command lines; the rosters lie in a folder."""
     for file in sorted(rosters.glob("config/*.yaml")):
         yield from _of_a_right_one(f"config/{file.name}")
+    for file in sorted(rosters.glob("former/*.yaml")):
+        yield from _of_a_right_one(f"former/{file.name}")
     for name in RIGHT:
         yield from _of_a_right_one(f"right/{name}.yaml")
     for name in WRONG:
@@ -168,11 +210,25 @@ def _of_a_right_one(path: str) -> Iterator[list[str]]:
         yield [*words, "-c", path]
 
 
-def record(side: Side, lines: Iterable[list[str]] | None = None, *, jobs: int | None = None) -> str:
-    """Return the record of the command part of one side."""
+def record(
+    side: Side,
+    lines: Iterable[list[str]] | None = None,
+    *,
+    former: Path | None = None,
+    jobs: int | None = None,
+) -> str:
+    """Return the record of the command part of one side.
+
+    Args:
+        side: The side.
+        lines: What is run; None: all.
+        former: The folder `config` of the base: what differs there is asked of both sides too, as
+            rosters of users that stay as they are.
+        jobs: How many processes run at a time; None: one for each core.
+    """
     with tempfile.TemporaryDirectory(prefix="lc-") as name:
         folder = Path(name)
-        _write_rosters(folder)
+        _write_rosters(folder, former)
         asked = list(corpus(folder) if lines is None else lines)
         count = jobs or os.cpu_count() or 1
         shares = [asked[number::count] for number in range(count)]
@@ -193,10 +249,15 @@ def _run(side: Side, folder: Path, lines: list[list[str]]) -> list[tuple[int, st
     return found
 
 
-def _write_rosters(folder: Path) -> None:
+def _write_rosters(folder: Path, former: Path | None) -> None:
     (folder / "config").mkdir()
+    (folder / "former").mkdir()
     for file in (ROOT / "config").glob("*.yaml"):
         (folder / "config" / file.name).write_bytes(file.read_bytes())
+    for file in former.glob("*.yaml") if former is not None else ():
+        now = folder / "config" / file.name
+        if not now.exists() or now.read_bytes() != file.read_bytes():
+            (folder / "former" / file.name).write_bytes(file.read_bytes())
     for kind, rosters in (("right", RIGHT), ("wrong", WRONG)):
         (folder / kind).mkdir()
         for name, edit in rosters.items():

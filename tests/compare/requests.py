@@ -29,6 +29,7 @@ groups:
   mixed: {{members: [winder, mixer]}}
 api: {{socket: {folder}/api.sock, http: '127.0.0.1:{http}'}}
 state: {folder}/state.json
+lease: {{time: 1min}}
 """
 
 DRIVES = ("feeder", "belt", "winder", "pump", "fan", "mixer", "press", "counter")
@@ -51,10 +52,13 @@ class Request:
     several: bool = False
 
 
-def get(path: str, method: str = "GET", *, version: str = "1.1", **headers: str) -> Request:
+def get(
+    path: str, method: str = "GET", *, version: str = "1.1", name: str = "", **headers: str
+) -> Request:
     """Return a request without a body."""
     head = _head(method, path, {"Host": "localhost", **headers}, version)
-    return Request(f"{method} {path} {headers or ''} {version}", head, "Expect" in headers)
+    title = f"{method} {path} {name or headers or ''} {version}"
+    return Request(title, head, "Expect" in headers)
 
 
 def send(method: str, path: str, body: Any, *, name: str = "", **headers: str) -> Request:
@@ -87,6 +91,8 @@ def corpus() -> Iterator[Request]:
     yield from writes()
     yield from verbs()
     yield from stops()
+    yield from rows_and_events()
+    yield from leases()
 
 
 def known() -> Iterator[Request]:
@@ -328,3 +334,65 @@ def stops() -> Iterator[Request]:
         for action in ("quick-stop", "inhibit"):
             yield send("POST", "/v1/stop", {"action": action, "target": target})
     yield get("/v1/drives/feeder/codes/C0135?fresh=true")
+
+
+def rows_and_events() -> Iterator[Request]:
+    """Ask for the journal, which this roster has not, for events in a wrong way, and to reload."""
+    for path in ("/v1/journal", "/v1/journal?limit=0", "/v1/journal?limit=x",
+                 "/v1/journal?after=-1", "/v1/journal?since=yesterday",
+                 "/v1/journal?last=true&after=1", "/v1/journal?frm=1",
+                 "/v1/journal/verify", "/v1/journal/verify?head=1:x",
+                 "/v1/events?kind=nonsense", "/v1/events?drive=nobody",
+                 "/v1/events?colour=red"):  # fmt: skip
+        yield get(path)
+    for method in ("POST", "PUT", "DELETE"):
+        yield get("/v1/journal", method)
+        yield get("/v1/events", method)
+    yield get("/v1/reload")
+    yield send("POST", "/v1/reload", {"x": 1})
+    yield send("POST", "/v1/reload", b"")
+
+
+def leases() -> Iterator[Request]:
+    """Ask for leases, take one, and ask without its token for what needs it."""
+    path = "/v1/leases/plc"
+    yield get("/v1/leases")
+    yield get("/v1/leases?x=1")
+    yield get("/v1/leases", "POST")
+    yield get(path)
+    for body in (b"", b"{", b"[]", b"{}", {"counter": 1}, {"token": "x", "counter": 2},
+                 {"token": "x", "time": "2s", "counter": 2}, {"targets": ["press"], "counter": 1},
+                 {"targets": ["press"], "time": "2s"}, {"targets": [], "time": "2s", "counter": 1},
+                 {"targets": "press", "time": "2s", "counter": 1},
+                 {"targets": ["nobody"], "time": "2s", "counter": 1},
+                 {"targets": ["press"], "time": "1ms", "counter": 1},
+                 {"targets": ["press"], "time": "2h", "counter": 1},
+                 {"targets": ["nobody"], "time": 2, "counter": 1},
+                 {"targets": ["press"], "time": "2s", "counter": -1},
+                 {"targets": ["press"], "time": "2s", "counter": "1"},
+                 {"targets": ["counter"], "time": "2s", "counter": 1},
+                 {"targets": ["press"], "time": "2s", "counter": 1, "x": 1},
+                 {"targets": ["press"], "time": "2s", "counter": 1,
+                  "take_over": "nobody"}):  # fmt: skip
+        yield send("PUT", path, body)
+    for name in ("a%20b", "x" * 61, "%C3%A4", "a/b"):
+        yield send("PUT", f"/v1/leases/{name}", {"targets": ["press"], "time": "2s", "counter": 1})
+    yield get(path, "DELETE")
+    yield get(path, "DELETE", Lecombus_Lease="x")
+    good = {"targets": ["press", "pair"], "time": "1min", "counter": 1}
+    yield send("PUT", path, good, name="taken")
+    yield send("PUT", path, good, name="taken again")
+    yield send("PUT", "/v1/leases/other", good, name="taken by another")
+    yield get("/v1/leases", name="held")
+    for lease in ("", "x"):
+        head = {"Lecombus_Lease": lease}
+        yield send("PUT", "/v1/drives/press/codes/C0046", {"value": 5}, **head)
+        yield send("PUT", "/v1/drives/press/codes/C0012", {"value": 5}, **head)
+        yield send("PUT", "/v1/groups/pair/codes/C0046", {"value": 5}, **head)
+        yield send("POST", "/v1/drives/feeder/verbs/enable", b"", **head)
+        yield send("POST", "/v1/drives/feeder/verbs/quick-stop", b"", **head)
+    yield send(
+        "POST", "/v1/stop", {"action": "inhibit", "target": "press"}, name="with a lease held"
+    )
+    yield send("PUT", "/v1/leases/other", {**good, "take_over": "plc"}, name="taken over")
+    yield get("/v1/leases", name="held by another")

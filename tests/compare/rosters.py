@@ -58,7 +58,10 @@ RIGHT: dict[str, Edit] = {
     "tcp": many(3, "93xx").replace(b"sim:", b"socket://192.0.2.7:4001"),
     "multicast": "top groups: {g: {members: [feeder, belt], multicast: true}}",
     "on-shutdown": "top on_shutdown: quick-stop",
-    "unused": "top mqtt: {host: broker}",
+    "mqtt": "top mqtt: {host: broker}",
+    "modbus": "top modbus: {}",
+    "notify": "top notify: {command: [/usr/local/bin/page]}",
+    "version": "top version: 1",
     "no-cyclic": "drive cyclic: []",
     "slow-drive": "drive answer_time: 300ms",
     "standard": "drive addressing: standard",
@@ -123,6 +126,9 @@ _WRONG: tuple[Edit, ...] = (
     "top journal: x.sqlite", "top lease: yes", "top lease: {time: 1ms}", "top on-shutdown: nothing",
     "top line: {}", "top state: x", "top apis: {}",
     "top lease: {required: true, on_lapse: inhibit, x: 1}",
+    "drive cyclic: [{code: C0094, every: 10s}]", "top modbus: {port: 0}", "top modbus: {listen: x}",
+    "top modbus: {control: 1}", "top notify: {}", "top notify: {command: page}",
+    "top notify: {mail: {to: x}}", "top mqtt: {host: broker, security: no}", "top version: 99",
 )  # fmt: skip
 
 WRONG: dict[str, Edit] = {f"{number:03d}": edit for number, edit in enumerate(_WRONG)}

@@ -26,6 +26,8 @@ RUN = ("src", "tests/proof", "tests/support", INSIDE, *LOCKS)
 """What decides what a side does."""
 FROM_HERE = ("config", ORACLE)
 """What decides what is asked of both sides: always that of the checkout."""
+MEANT = f"{ORACLE}/meant.yaml"
+"""What is meant to differ decides nothing of what is recorded."""
 
 
 @dataclass(frozen=True)
@@ -130,5 +132,6 @@ def _key(place: Path, checkout: str) -> str:
         for file in sorted(found.rglob("*")) if found.is_dir() else [found]:
             if file.is_file() and "__pycache__" not in file.parts:
                 digest.update(f"{file.relative_to(place)}\0".encode() + file.read_bytes())
-    digest.update(git("ls-tree", "-r", checkout, *FROM_HERE).encode())
+    asked = git("ls-tree", "-r", checkout, *FROM_HERE).splitlines()
+    digest.update("\n".join(row for row in asked if not row.endswith(MEANT)).encode())
     return digest.hexdigest()[:16]

@@ -252,6 +252,8 @@ class SpeedBody(VerbBody):
 class NoKeysBody(Body):
     """Nothing to say: no body at all, or `{}`."""
 
+    example: ClassVar[str] = "{}"
+
 
 class AcceptBody(Body):
     """The identity that whoever accepts a drive has seen."""

@@ -210,7 +210,7 @@ class TokenAccess:
             await app(scope, receive, send_while_valid)
         except TokenEndedError:
             return
-        except BaseExceptionGroup as group:
+        except BaseExceptionGroup as group:  # raised again if it holds anything else
             if group.split(TokenEndedError)[1] is not None:
                 raise
 
