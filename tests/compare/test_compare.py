@@ -16,6 +16,7 @@ from compare.normal import NORMAL, normal
 from compare.requests import corpus, get
 from compare.rosters import RIGHT, WRONG, written
 from compare.trees import ROOT, Side
+from lecombus.cli.entry import COMMANDS
 
 pytestmark = pytest.mark.clock
 
@@ -149,3 +150,8 @@ def test_the_corpora_are_large_and_each_entry_stands_once() -> None:
     assert len(WRONG) >= 60
     files = [written(edit) for edit in (*RIGHT.values(), *WRONG.values())]
     assert len(set(files)) == len(files)
+
+
+def test_every_command_is_asked() -> None:
+    """A command that is new and not listed would never be compared."""
+    assert set(commands.COMMANDS) >= set(COMMANDS)
