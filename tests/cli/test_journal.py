@@ -13,6 +13,7 @@ import pytest
 
 from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
+from lecombus.cli.journal import no_formula
 from support.golden import Golden
 
 pytestmark = pytest.mark.clock
@@ -112,6 +113,15 @@ def test_a_wrong_unit_is_said_with_the_right_one(run: Run) -> None:
     ran = run("journal", "--since", "2m")
     assert ran.status == 2
     assert "write min for minutes" in ran.err
+
+
+@pytest.mark.parametrize(("text", "cell"), [
+    ("=1+1", "'=1+1"), ("@SUM(A1)", "'@SUM(A1)"), ("-2+cmd|'x'!A0", "'-2+cmd|'x'!A0"),
+    ("+1+1", "'+1+1"), ("-5", "-5"), ("+0.5", "+0.5"), ("-12.50", "-12.50"), ("H0008", "H0008"),
+    ("-", "'-"),
+])  # fmt: skip
+def test_no_cell_is_a_formula_and_numbers_stay_numbers(text: str, cell: str) -> None:
+    assert no_formula(text) == cell
 
 
 def test_csv_has_the_fields_in_columns_and_no_formula(run: Run, daemon: DaemonStub) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from lecombus.cli.support_bundle import write_bundle
 from support.daemon_host import Ran, lecombus, running, short_dir
 from support.rosters import roster_text
 
@@ -95,3 +96,15 @@ def test_nothing_is_written_over_and_a_roster_must_be_named() -> None:
         assert (folder / "mine").read_text() == "mine"
         done = lecombus("support-bundle", "-c", folder / "nowhere.yaml")
         assert done.status == 2
+
+
+def test_a_bundle_that_could_not_be_written_whole_leaves_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(tarfile.TarFile, "addfile", fail)
+    with pytest.raises(OSError, match=r"No space left .*bundle\.tar\.gz"):
+        write_bundle(tmp_path / "bundle.tar.gz", "bundle", {"a.txt": "a"})
+    assert list(tmp_path.iterdir()) == []

@@ -120,3 +120,22 @@ def test_a_token_is_not_written_over_another_file(run: Run, file: Path, tmp_path
     assert run("token", "new", "a", "--scope", "read", "-o", str(there)).status == 2
     assert there.read_text() == "x"
     assert not file.exists()
+
+
+def test_a_token_that_could_not_be_kept_leaves_no_file(
+    run: Run, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its secret would never be valid, and the file would stand against the next attempt."""
+
+    def fail(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    output = tmp_path / "plc.token"
+    words = ("token", "new", "plc", "--scope", "control", "-o", str(output))
+    with monkeypatch.context() as patched:
+        patched.setattr("lecombus.tokens.token_file.os.fsync", fail)
+        ran = run(*words)
+    assert (ran.status, ran.out, list(tmp_path.iterdir())) == (1, "", [])
+    assert ran.err == f"{file}: no space left on device\n"
+    assert run(*words).status == 0
+    assert read_tokens(file).find(output.read_text().strip(), time.time()) is not None

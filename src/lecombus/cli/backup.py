@@ -138,8 +138,10 @@ def save(path: Path, text: str) -> None:
             file.flush()
             os.fsync(descriptor)
         Path(name).replace(place)
-    except BaseException:  # also when interrupted: no half of a backup is left beside it
+    except BaseException as exc:  # also when interrupted: no half of a backup is left beside it
         Path(name).unlink(missing_ok=True)
+        if isinstance(exc, OSError) and not exc.filename:
+            exc.filename = str(path)  # a full disk does not name it
         raise
 
 

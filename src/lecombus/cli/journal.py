@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -31,7 +32,7 @@ CSV_FIELDS: Final = (
 )  # fmt: skip
 LAST_FIELDS: Final = ("who", "token", "uid", "process", "client", "reason")
 HIDDEN_FIELDS: Final = ("pid",)
-FORMULA: Final = ("=", "@")
+FORMULA: Final = re.compile(r"[=@]|[+-](?!\d+(\.\d+)?$)", re.ASCII)
 """A cell that begins so is a formula to a spreadsheet; a client may have chosen the text."""
 
 ASKED: Final = "asked"
@@ -190,12 +191,13 @@ def _write_csv(rows: Iterable[Document]) -> None:
         more = {key: text for key, text in fields.items() if key not in CSV_FIELDS}
         named = (row[key] for key in ("number", "time", "what", "drive", "outcome"))
         cells = (*named, *(fields.get(key) for key in CSV_FIELDS), _details(more))
-        writer.writerow([_no_formula(table_text(cell)) for cell in cells])
+        writer.writerow([no_formula(table_text(cell)) for cell in cells])
         sys.stdout.flush()
 
 
-def _no_formula(text: str) -> str:
-    return f"'{text}" if text.startswith(FORMULA) else text
+def no_formula(text: str) -> str:
+    """Return a text as a cell that a spreadsheet takes as it is."""
+    return f"'{text}" if FORMULA.match(text) else text
 
 
 def _show_verified(found: Document) -> None:

@@ -327,18 +327,25 @@ def write_bundle(target: Path, folder: str, files: dict[str, str]) -> None:
 
     Raises:
         CommandError: There is such a file.
+        OSError: It could not be written; nothing is left of it.
     """
     try:
         descriptor = os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, MODE)
     except FileExistsError:
         raise is_there(target) from None
     now_s = int(time.time())
-    with os.fdopen(descriptor, "wb") as file, tarfile.open(fileobj=file, mode="w:gz") as bundle:
-        for name, text in sorted(files.items()):
-            data = text.encode(errors="replace")
-            member = tarfile.TarInfo(f"{folder}/{name.lstrip('/')}")
-            member.size, member.mtime, member.mode = len(data), now_s, 0o644
-            bundle.addfile(member, io.BytesIO(data))
+    try:
+        with os.fdopen(descriptor, "wb") as file, tarfile.open(fileobj=file, mode="w:gz") as bundle:
+            for name, text in sorted(files.items()):
+                data = text.encode(errors="replace")
+                member = tarfile.TarInfo(f"{folder}/{name.lstrip('/')}")
+                member.size, member.mtime, member.mode = len(data), now_s, 0o644
+                bundle.addfile(member, io.BytesIO(data))
+    except BaseException as exc:  # an interrupt too: half a bundle would stand in the way
+        target.unlink(missing_ok=True)
+        if isinstance(exc, OSError) and not exc.filename:
+            exc.filename = str(target)  # a full disk does not name it
+        raise
 
 
 def is_there(target: Path) -> CommandError:

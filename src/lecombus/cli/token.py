@@ -157,7 +157,12 @@ def new_command(
             raise CommandError(Exit.FAILED, problem, "revoke some: `lecombus token list`")
         if output is not None:
             _write_secret(output, secret)
-        write_tokens(path, [*tokens, entry])
+        try:
+            write_tokens(path, [*tokens, entry])
+        except BaseException:  # an interrupt too: the secret was never valid
+            if output is not None:
+                output.unlink(missing_ok=True)
+            raise
     _show_secret(entry, secret, output, as_json=as_json)
     return Exit.DONE
 

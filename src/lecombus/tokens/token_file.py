@@ -10,7 +10,6 @@ Times are those of the computer's clock (Unix seconds in the program, RFC 3339 i
 
 from __future__ import annotations
 
-import contextlib
 import grp
 import hmac
 import json
@@ -217,9 +216,10 @@ def write_tokens(path: Path, tokens: Sequence[TokenEntry]) -> None:
             file.flush()
             os.fsync(descriptor)
         Path(name).replace(path)
-    except BaseException:  # an interrupt too: the file beside it holds digests
-        with contextlib.suppress(FileNotFoundError):
-            Path(name).unlink()
+    except BaseException as exc:  # an interrupt too: the file beside it holds digests
+        Path(name).unlink(missing_ok=True)
+        if isinstance(exc, OSError) and not exc.filename:
+            exc.filename = str(path)  # a full disk does not name it
         raise
     _sync_folder(path.parent)
 
