@@ -42,38 +42,28 @@ check:
 	@scripts/venv dev
 	@scripts/check
 
-proof:
-	@scripts/venv dev
-	@PYTHONPATH=src:tests .venv/bin/python -m proof.run --hours 1000 --length 60 $(ARGS)
+proof faults soak: TOOLS := dev
+fuzz mutants: TOOLS := reliability
+bench: TOOLS := bench
+proof: RUN := proof.run --hours 1000 --length 60
+fuzz: RUN := fuzz.run
+mutants: RUN := mutation.run
+faults: RUN := faults.run
+soak: RUN := soak.run
+bench: RUN := benchmarks.run
+
+proof fuzz mutants faults soak bench:
+	@scripts/venv $(TOOLS)
+	@PYTHONPATH=src:tests .venv/bin/python -m $(RUN) $(ARGS)
 
 compare:
 	@scripts/venv dev
 	@PYTHONPATH=tests .venv/bin/python -m compare --base $(BASE) $(ARGS)
 
-fuzz:
-	@scripts/venv reliability
-	@PYTHONPATH=src:tests .venv/bin/python -m fuzz.run $(ARGS)
-
 coverage:
 	@scripts/venv reliability
 	@.venv/bin/python -m coverage run -m pytest -q -p no:cacheprovider tests/protocol tests/schedule
 	@.venv/bin/python -m coverage report
-
-mutants:
-	@scripts/venv reliability
-	@PYTHONPATH=src:tests .venv/bin/python -m mutation.run $(ARGS)
-
-faults:
-	@scripts/venv dev
-	@PYTHONPATH=src:tests .venv/bin/python -m faults.run $(ARGS)
-
-soak:
-	@scripts/venv dev
-	@PYTHONPATH=src:tests .venv/bin/python -m soak.run $(ARGS)
-
-bench:
-	@scripts/venv bench
-	@PYTHONPATH=src:tests .venv/bin/python -m benchmarks.run $(ARGS)
 
 golden:
 	@scripts/venv dev
