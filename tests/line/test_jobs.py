@@ -617,7 +617,28 @@ def test_another_drives_address_is_no_proof() -> None:
     job.advance(late(RESULTS["ack"], 5.2))
     outcome, reason = proven(job, SHOWN | {9: "2"}, 6.5)[1] or (None, "")
     assert outcome is UNKNOWN
-    assert "C0009 does not read 1: the answer may be another drive's" in reason
+    assert "C0009, its address, reads 2, not 1: the answer may be another drive's" in reason
+
+
+def test_an_address_that_was_not_asked_for_is_not_said_to_read_otherwise() -> None:
+    """The second reading is lost until the time of the stop is over."""
+    job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=1, silent=True)
+    at_s, verdict = 0.0, job.advance(RESULTS["ack"])
+    while verdict is None:
+        at_s = at_s + 0.1 if at_s < 4.9 else 6.2
+        step, result = job.step, RESULTS["ack"]
+        if step.kind is StepKind.READ:
+            assert step.form is not None
+            shown = answered(ValueAnswer(encode_code(step.code, step.form), Value.parse("H0080")))
+            is_given = step.form is Form.STANDARD or at_s > 6.0
+            result = shown if is_given else RESULTS["none"]
+        verdict = job.advance(late(result, at_s))
+    outcome, reason = verdict
+    assert outcome is UNKNOWN
+    assert reason == (
+        "inhibit was sent and C0150 reads H0080, but C0009, its address, was not read: the answer "
+        "may be another drive's"
+    )
 
 
 def test_a_drive_without_an_address_code_needs_answers_that_nobody_else_was_asked_for() -> None:

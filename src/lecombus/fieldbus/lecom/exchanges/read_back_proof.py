@@ -79,6 +79,7 @@ class ReadBackProof:
         self._ack_is_own = False
         self._shown: set[bytes] = set()
         self._is_itself = False
+        self._address_read: Value | None = None
         self.has_no_address = False
         self._asked_itself = 0
         self._led_astray: set[AddressForm] = set()
@@ -120,6 +121,7 @@ class ReadBackProof:
         self.repeated = answer.field in self._shown
         if code == address_code(station.family) and code not in _codes(station.family, what):
             self._asked_itself += 1
+            self._address_read = answer.value
             self._is_itself = answer.value.number == station.address
             return self._is_itself
         if not _shows(station.family, what, code, answer.value):
@@ -218,8 +220,11 @@ class ReadBackProof:
     def not_its_own(self, station: Station) -> str:
         """Return why a reading that shows it may be another drive's."""
         if not self._knows_it:
-            code = address_code(station.family)
-            return f"{code} does not read {station.address}: the answer may be another drive's"
+            what, read = station.family.spoken(address_code(station.family)), self._address_read
+            is_read = "was not read"
+            if read is not None:
+                is_read = f"reads {read.raw}, not {station.address}"
+            return f"{what}, its address, {is_read}: the answer may be another drive's"
         return "second answers come on this line: the answer may be another drive's"
 
     @property
