@@ -307,6 +307,32 @@ def test_too_many_commands_are_refused_and_answered() -> None:
     with_bench(script)
 
 
+def test_answers_that_the_broker_does_not_take_are_bounded_and_a_stop_goes_out_all_the_same() -> (
+    None
+):
+    waiting = most = 0
+
+    async def script(bench: Bench) -> None:
+        async def never(message: Message) -> None:
+            nonlocal waiting, most
+            waiting += 1
+            most = max(most, waiting)
+            await anyio.sleep_forever()
+
+        bench.commands._answer = never
+        bench.daemon.takes_s = 100.0
+        for _ in range(50):
+            for _ in range(100):
+                bench.take("feeder/set/C0046", "5")
+            await anyio.sleep(0.01)
+        bench.take("feeder/do/quick-stop")
+        await anyio.sleep(0.1)
+        assert bench.daemon.paths[-1] == "POST /v1/stop"
+
+    with_bench(script)
+    assert most == WAITING_MOST
+
+
 def test_a_daemon_that_is_away_or_does_not_answer_is_said() -> None:
     async def script(bench: Bench) -> None:
         bench.daemon.is_gone = True

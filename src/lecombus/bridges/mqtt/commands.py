@@ -154,6 +154,7 @@ class Commands:
         self._came = anyio.Event()
         self._waiting: dict[str, deque[tuple[Incoming, CommandTopic]]] = {}
         self._logged: deque[float] = deque()
+        self._answering = 0
         self.counts: dict[str, int] = {}
 
     def take(self, incoming: Incoming) -> None:
@@ -338,14 +339,20 @@ class Commands:
             self._log(topic, document)
         if not self._topics.may_answer(incoming.response_topic, self._home_assistant):
             return
+        if self._answering >= WAITING_MOST:
+            return  # the broker does not take them; they would pile up without end
         said = {"target": topic.target, topic.what: topic.name, **document}
-        await self._answer(
-            Message(
-                incoming.response_topic, json_bytes(said), 1, is_retained=False,
-                expiry_s=ANSWER_STANDS_S, properties=(("outcome", outcome),),
-                content_type="application/json", response=incoming.correlation,
-            )
-        )  # fmt: skip
+        self._answering += 1
+        try:
+            await self._answer(
+                Message(
+                    incoming.response_topic, json_bytes(said), 1, is_retained=False,
+                    expiry_s=ANSWER_STANDS_S, properties=(("outcome", outcome),),
+                    content_type="application/json", response=incoming.correlation,
+                )
+            )  # fmt: skip
+        finally:
+            self._answering -= 1
 
     def _log(self, topic: CommandTopic, document: dict[str, Any]) -> None:
         """Log a command that was not carried out; not without end."""
