@@ -148,6 +148,25 @@ def test_a_question_is_repeated_once_without_a_key() -> None:
 
 
 @pytest.mark.usefixtures("clock")
+@pytest.mark.parametrize("error", [
+    httpx2.ReadError, httpx2.WriteError, httpx2.CloseError, httpx2.RemoteProtocolError,
+    httpx2.DecodingError, httpx2.ReadTimeout, httpx2.WriteTimeout,
+])  # fmt: skip
+def test_whatever_breaks_once_a_request_may_have_been_sent_the_outcome_is_unknown(
+    error: type[httpx2.RequestError],
+) -> None:
+    def fail(request: httpx2.Request) -> httpx2.Response:
+        raise error("broken", request=request)
+
+    line = line_of(httpx2.MockTransport(Script(fail)))
+
+    async def work() -> None:
+        assert (await line.drive("feeder").write("C0046", 5)).outcome is Outcome.UNKNOWN
+
+    run(work())
+
+
+@pytest.mark.usefixtures("clock")
 @pytest.mark.parametrize("first", [None, broken])
 def test_a_proxy_that_lost_the_answer_leaves_the_outcome_unknown(first: Handler | None) -> None:
     bad = httpx2.Response(502, text="<html>Bad Gateway</html>")

@@ -65,8 +65,11 @@ BY: Final = "lecombus-by"
 
 LEASE_HEADER: Final = "lecombus-lease"
 
-BROKEN: Final = (httpx2.ReadError, httpx2.WriteError, httpx2.RemoteProtocolError)
-"""A connection that ended after a request on it may have been sent."""
+BROKEN: Final = (
+    httpx2.ReadError, httpx2.WriteError, httpx2.CloseError, httpx2.RemoteProtocolError,
+    httpx2.DecodingError,
+)  # fmt: skip
+"""A connection that ended, or an answer that cannot be read, after a request may have been sent."""
 
 
 class AnswerLostError(UnreachableError):
