@@ -3,57 +3,18 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 from collections.abc import Iterator
-from decimal import Decimal
-from math import inf
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from lecombus.bridges.line_follower import FollowedDrive, FollowedValue, LineFollower
-from lecombus.bridges.mqtt.bridge import Devices
+from home_assistant.followed import Followed, devices
+from home_assistant.installed import install
 from lecombus.bridges.mqtt.broker import Incoming
-from lecombus.bridges.mqtt.discovery import Discovery
-from lecombus.bridges.mqtt.topics import Topics
-from lecombus.client import Quality, Reading
-from lecombus.drives import FAMILY_NAMES, family
-from lecombus.parameters import Code
-from support.real_parts import missing
+from lecombus.drives import FAMILY_NAMES
 
 HERE = Path(__file__).parent
-
-
-class Followed(LineFollower):
-    """A line with a drive of each family, whose cyclic codes were read."""
-
-    def __init__(self) -> None:
-        super().__init__("/run/x.sock")
-        self.is_connected = True
-        for number, name in enumerate(FAMILY_NAMES):
-            drive = FollowedDrive(f"drive-{name}", 11 + number, name, "online")
-            drive.motion = {"setpoint": {"unit": "%" if name == "93xx" else "Hz", "value": 1}}
-            for code, every_s in family(name).status:
-                self._periods[drive.name, str(code)] = every_s
-                drive.values[str(code)] = self.read(drive.name, code, name)
-            self.drives[drive.name] = drive
-
-    def read(self, drive: str, code: Code, name: str) -> FollowedValue:
-        info = family(name).info(code)
-        unit = "" if info is None else info.unit or ""
-        value: Any = Decimal("1.5") if unit else 8
-        reading = Reading(
-            drive, f"C{code.number:04d}", code.subcode, "" if info is None else info.name, value,
-            "1.5", unit, Quality.GOOD, "", None, 0.1, "",
-        )  # fmt: skip
-        return FollowedValue(reading, 0, inf)
-
-
-def devices(follower: LineFollower, *, control: bool = False) -> Devices:
-    topics = Topics("lecombus", "hall-3")
-    return Devices(Discovery("homeassistant", topics, "hall-3", control=control), follower)
 
 
 def documents(*, control: bool) -> Iterator[tuple[str, str]]:
@@ -115,17 +76,8 @@ def incoming(topic: str, payload: bytes, *, is_retained: bool = False) -> Incomi
 
 @pytest.fixture(scope="module")
 def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An interpreter with Home Assistant, which needs a newer Python and other packages than we."""
-    newer = next(filter(None, map(shutil.which, ("python3.12", "python3.13"))), None)
-    if newer is None:
-        missing("Home Assistant needs Python 3.12 or 3.13")
-    folder = tmp_path_factory.mktemp("home-assistant")
-    subprocess.run([newer, "-m", "venv", folder], check=True)
-    subprocess.run(
-        [folder / "bin" / "python", "-m", "pip", "install", "-qq", "--no-deps",
-         "--only-binary", ":all:", "-r", HERE / "packages.txt"], check=True,
-    )  # fmt: skip
-    return folder / "bin" / "python"
+    """An interpreter with Home Assistant."""
+    return install(tmp_path_factory.mktemp("home-assistant"))
 
 
 @pytest.mark.long
