@@ -20,6 +20,7 @@ from support.children import OTHER_CORE, ROOT, pin
 from .cycles import measure as cycles
 from .efficiency import measure as efficiency
 from .exchanges import measure as exchanges
+from .fleet import measure as fleet
 from .journal import measure as journal
 from .machine import Noise, describe
 from .promises import measure as promises
@@ -44,6 +45,7 @@ PARTS: dict[str, Callable[[Path, int], list[Row]]] = {
     "efficiency": efficiency,
     "readers": readers,
     "promises": promises,
+    "fleet": fleet,
 }
 FIGURES = ROOT / "docs" / "figures.md"
 

@@ -18,6 +18,7 @@ from typing import Any
 
 import httpx2
 import pytest
+import yaml
 
 from dashboards.boards import BOARDS, FOLDER
 from support.daemon_host import Daemon, free_port, on_a_pty, short_dir, started, until
@@ -25,7 +26,9 @@ from support.real_parts import require
 
 pytestmark = [pytest.mark.real, pytest.mark.slow, pytest.mark.timeout(150)]
 
-RULES = Path(__file__).parents[2] / "deploy" / "prometheus" / "lecombus.rules.yml"
+DEPLOY = Path(__file__).parents[2] / "deploy" / "prometheus"
+RULES = DEPLOY / "lecombus.rules.yml"
+FEDERATION = DEPLOY / "federation.yml"
 DRIVES = (("feeder", 11, "8200vector"), ("belt", 12, "smvector"), ("winder", 21, "93xx"),
           ("ghost", 31, "smvector"))  # fmt: skip
 THERE = ("feeder", "belt", "winder")
@@ -47,6 +50,12 @@ class Watched:
 
     api: httpx2.Client
     daemon: Daemon
+
+    def federate(self, matches: list[str]) -> str:
+        """What another Prometheus takes of it."""
+        answer = self.api.get(self.api.base_url.join("/federate"), params={"match[]": matches})
+        assert answer.status_code == 200, answer.text
+        return str(answer.text)
 
     def ask(self, query: str) -> list[dict[str, Any]]:
         """What a query gives now."""
@@ -185,3 +194,16 @@ def test_the_choices_of_the_dashboards_are_the_lines_and_drives(
     until(lambda: watched.ask(metric), metric)
     answer = watched.api.get(f"/label/{label}/values", params={"match[]": metric})
     assert set(answer.json()["data"]) == values
+
+
+def test_a_server_of_the_site_takes_the_recorded_series_of_lines_and_the_alerts(
+    watched: Watched,
+) -> None:
+    subprocess.run([require("promtool"), "check", "config", FEDERATION], check=True)
+    until(lambda: ("LecombusDriveTripped", "feeder") in watched.firing(), "the alert of the trip")
+    (job,) = yaml.safe_load(FEDERATION.read_text())["scrape_configs"]
+    page = watched.federate(job["params"]["match[]"])
+    names = {row.partition("{")[0] for row in page.splitlines() if not row.startswith("#")}
+    recorded = {name for name in names if name.startswith("line:lecombus_")}
+    assert {"line:lecombus_drives_up:sum", "line:lecombus_drives_needing_attention:count"} <= names
+    assert names - recorded == {"up", "ALERTS"}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import os
 import subprocess
@@ -13,13 +15,13 @@ from typing import Any
 
 import pytest
 
+from lecombus.cli import main
 from support.daemon_host import (
     SRC,
     Daemon,
     Ran,
     command,
     environment,
-    lecombus,
     running,
     short_dir,
     until,
@@ -106,7 +108,12 @@ def following(folder: Path, port: int) -> Iterator[Callable[[], dict[str, Any]]]
 
 
 def fleet(port: int, *words: str | Path, user: str = "") -> Ran:
-    return lecombus("fleet", "--broker", f"mqtt://{user}127.0.0.1:{port}", *words)
+    """`lecombus fleet` to its end, in this process: a start takes longer than all it does."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        url = f"mqtt://{user}127.0.0.1:{port}"
+        status = main(["fleet", "--broker", url, *map(str, words)])
+    return Ran(status, out.getvalue(), err.getvalue())
 
 
 def statuses(found: dict[str, Any]) -> dict[str, str]:
@@ -171,8 +178,7 @@ def stops(hub: Broker, daemon: Daemon) -> None:
         **{("line-01", f"drive-{at}"): "verified" for at in range(EACH)},
         ("hall-b", ""): "refused", ("nowhere", ""): "refused",
     }  # fmt: skip
-    motion = {one["drive"]: one["motion"] for one in daemon.get("/v1/drives")["drives"]}
-    assert "quick-stop" in [one["name"] for one in motion["feeder"]["stops"]]
+    until(lambda: "quick-stop" in stopped_by(daemon, "feeder"), "the feeder is stopped")
     ran = fleet(hub.port, "stop", "hall-a", "--target", "feeder", "--action", "inhibit", "--json")
     (said,) = ran.json()["stops"]
     assert (ran.status, said["outcome"], said["answer"]["target"]) == (0, "verified", "feeder")
@@ -184,6 +190,11 @@ def stops(hub: Broker, daemon: Daemon) -> None:
     assert {one["line"] for one in everything if one["outcome"] != "verified"} == {
         "hall-b", "line-09"
     }  # fmt: skip
+
+
+def stopped_by(daemon: Daemon, drive: str) -> list[str]:
+    found = next(one for one in daemon.get("/v1/drives")["drives"] if one["drive"] == drive)
+    return [one["name"] for one in found["motion"]["stops"]]
 
 
 def broker_restarts(

@@ -64,6 +64,10 @@ TEXTS: Final[Mapping[str, str]] = {
 }
 """Where no reason is given."""
 
+NO_SUMMARY: Final = (
+    "no summary of it stands at the broker: its bridge is lost, or older than this program"
+)
+
 NOTHING_KNOWN: Final = frozenset(("unknown", "missing", "bridge-offline", "no-news", "daemon-away"))
 """With these nothing is known of the drives."""
 
@@ -389,7 +393,7 @@ class FleetLines:
         kind, reason = self._word(known, is_fresh=is_fresh)
         for_s = None if known.state_at_s is None else now_s - known.state_at_s
         if kind == OK and not is_fresh:
-            kind, reason = "no-news", known.fault or "no summary of it stands at the broker"
+            kind, reason = "no-news", known.fault or NO_SUMMARY
             for_s = None if known.made_s == -inf else now_s - known.made_s
         if kind != OK:
             found.append(Attention(kind, "", reason or TEXTS.get(kind, ""), for_s))

@@ -28,6 +28,9 @@ STANDS_S: Final = 30
 MISS_STANDS_S: Final = 300.0
 """So long after its watchdog was missed a drive needs attention, as for the alert."""
 
+VALUES_WAIT_S: Final = 20.0
+"""How long a value may be stale or bad until it needs attention: one lost answer is read again."""
+
 ITEMS_MOST: Final = 60
 TEXT_CHARS: Final = 160
 
@@ -38,6 +41,8 @@ KINDS: Final = (
 """What a drive or a line may need attention for, worst first."""
 
 RANKS: Final = {kind: rank for rank, kind in enumerate(KINDS)}
+
+OF_VALUES: Final = frozenset(("stale-value", "bad-value"))
 
 SAID_OTHERWISE: Final = frozenset(("fault", "lease"))
 """Subjects of remarks that are kinds of their own, or need no attention."""
@@ -98,6 +103,11 @@ class LineSummarizer:
         items = sorted(self._items(follower, now_s), key=lambda one: RANKS[one.kind])
         keys = [(one.kind, one.drive) for one in items]
         self._since_s = {key: self._since_s.get(key, now_s) for key in keys}
+        items = [
+            one for one in items
+            if one.kind not in OF_VALUES
+            or now_s - self._since_s[one.kind, one.drive] >= VALUES_WAIT_S
+        ]  # fmt: skip
         drives = follower.drives.values()
         word, reason = line_word(follower)
         document: dict[str, Any] = {
