@@ -15,12 +15,21 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 
 import httpx2
 
-from support.children import MASTER_CORE, OTHER_CORE, ROOT, child, die_with_parent, environment
+from support.children import (
+    MASTER_CORE,
+    OTHER_CORE,
+    ROOT,
+    Child,
+    child,
+    die_with_parent,
+    environment,
+)
 from support.paced_line import drives
 from support.rosters import roster_text
 
@@ -28,6 +37,8 @@ from .machine import free_port
 from .table import Row, spread
 
 __all__ = ["measure"]
+
+Process = subprocess.Popen[bytes]
 
 DAEMONS, DRIVES, BAUD = 10, 31, 19200
 MOST_MB, MOST_PERCENT = 600.0, 10.0
@@ -66,13 +77,16 @@ def measure(folder: Path, rounds: int) -> list[Row]:
 def of_daemons(folder: Path, rounds: int, broker: Process, broker_port: int) -> list[Row]:
     """Measure ten daemons on full lines, then what the bridge of one of them takes."""
     with contextlib.ExitStack() as stack:
-        daemons, sockets = [], []
+        daemons, sockets, lines = [], [], []
         ports = [free_port() for _ in range(DAEMONS)]
         for number in range(DAEMONS):
             place = folder / f"l{number}"
             place.mkdir()
-            stack.enter_context(
-                child("support.paced_line", place / "port", "--baud", str(BAUD), core=OTHER_CORE)
+            link = place / "port"
+            lines.append(
+                stack.enter_context(
+                    child("support.paced_line", link, "--baud", str(BAUD), core=OTHER_CORE)
+                )
             )
             roster = place / "roster.yaml"
             roster.write_text(
@@ -88,10 +102,11 @@ def of_daemons(folder: Path, rounds: int, broker: Process, broker_port: int) -> 
         for socket in sockets:
             until(lambda socket=socket: are_online(socket), "drives online")  # type: ignore[misc]
         time.sleep(WARM_S)
-        loads = [percent_of(daemons) for _ in range(rounds)]
+        site = Site(daemons, lines)
+        loads, rates = zip(*(site.turn() for _ in range(rounds)), strict=True)
         held = [sum(map(shared_mb, daemons)) for _ in range(rounds)]
         alone = [sum(map(resident_mb, daemons))]
-        scrapes = of_prometheus(folder, ports, daemons, median(loads), rounds)
+        scrapes = of_prometheus(folder, ports, site, rounds)
         rows = of_bridge(stack, folder / "l0" / "roster.yaml", broker, broker_port, rounds)
     return [
         Row(
@@ -101,16 +116,32 @@ def of_daemons(folder: Path, rounds: int, broker: Process, broker_port: int) -> 
         ),
         Row(
             "the same: processor", f"{spread(loads)} % of a core", "", median(loads), MOST_PERCENT,
-            digits=1, note="% of a core, all together, full lines with the default reads",
+            digits=1, note="% of a core, all together, full lines with the default reads, "
+            f"{spread(rates, 0)} exchanges a second",
         ),
         *rows,
         *scrapes,
     ]  # fmt: skip
 
 
-def of_prometheus(
-    folder: Path, ports: Sequence[int], daemons: Sequence[Process], idle: float, rounds: int
-) -> list[Row]:
+@dataclass
+class Site:
+    """Ten daemons and their simulated lines."""
+
+    daemons: Sequence[Process]
+    lines: Sequence[Child]
+
+    def turn(self) -> tuple[float, float]:
+        """Measure the daemons for a while: percent of one core, and exchanges a second."""
+        began_s, first = time.monotonic(), self._exchanges()
+        load = percent_of(self.daemons)
+        return load, (self._exchanges() - first) / (time.monotonic() - began_s)
+
+    def _exchanges(self) -> int:
+        return sum(int(line.ask("mark")[0]) for line in self.lines)
+
+
+def of_prometheus(folder: Path, ports: Sequence[int], site: Site, rounds: int) -> list[Row]:
     """Measure a Prometheus that scrapes these lines, with the rules."""
     port = free_port()
     targets = ", ".join(f"'127.0.0.1:{one}'" for one in ports)
@@ -127,10 +158,10 @@ def of_prometheus(
     try:
         with httpx2.Client(base_url=base, trust_env=False, timeout=30.0) as client:
             time.sleep(SCRAPED_FOR_S)
-            loads, taken = [], []
+            loads, turns = [], []
             for _ in range(rounds):
                 before_s = used_s(process)
-                taken.append(percent_of(daemons) - idle)
+                turns.append(site.turn())
                 loads.append(100 * (used_s(process) - before_s) / TURN_S)
             page = httpx2.get(f"http://127.0.0.1:{ports[0]}/metrics", trust_env=False).text
             series = sum(not row.startswith("#") for row in page.splitlines())
@@ -145,7 +176,8 @@ def of_prometheus(
             f"Prometheus for {DAEMONS} such lines, each 5 s: series of a line", f"{series}", "",
             series, digits=0, note=f"{len(page) / 1000:.0f} kB a page; {spread(loads)} % of a core "
             f"and {held:.0f} MB; {rows / DAEMONS:.1f} federated series a line; the daemons take "
-            f"{spread(taken)} % more",
+            f"{spread([one[0] for one in turns])} % of a core then, with "
+            f"{median(one[1] for one in turns):.0f} exchanges a second",
         ),
     ]  # fmt: skip
 
@@ -272,8 +304,6 @@ def of_fleet(broker: Process, port: int, count: int, rounds: int) -> list[Row]:
 
 
 # ---- processes ----------------------------------------------------------------------------------
-
-Process = subprocess.Popen[bytes]
 
 
 @contextlib.contextmanager

@@ -165,7 +165,8 @@ def left_out(views: Sequence[LineView]) -> str:
     """Return how many lines have no room, and whether they need attention."""
     bad = sum(one.status != "ok" for one in views)
     ok = len(views) - bad
-    said = [f"{counted(bad, 'more line')} that need attention"] if bad else []
+    verb = "needs" if bad == 1 else "need"
+    said = [f"{counted(bad, 'more line')} that {verb} attention"] if bad else []
     return ", ".join([*said, *([f"{counted(ok, 'more line')} ok"] if ok else [])])
 
 

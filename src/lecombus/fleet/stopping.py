@@ -26,8 +26,14 @@ __all__ = ["StopResult", "send_stops"]
 EXPIRY_S: Final = 10
 """How long a stop may be on its way to the bridge, which takes one however late it is."""
 
+LISTEN_WITHIN_S: Final = 3.0
+"""A broker that does not say in time that answers are heard is sent the stops all the same."""
+
 ANSWERS: Final = "lecombus-fleet"
 """The first level of the topics of answers; not of a line, where no bridge sends any."""
+
+ANSWER_BYTES: Final = 1024 * 1024
+"""The outcomes of 99 drives have some 100 kB."""
 
 NO_SUBSCRIBER: Final = 16
 NOT_AUTHORISED: Final = 135
@@ -128,7 +134,7 @@ async def send_stops(
             asked.end(result_of(asked.root, incoming.payload))
 
     async with open_broker(
-        entry, f"lecombus-fleet-{identifier}", None, WillLimits(), take
+        entry, f"lecombus-fleet-{identifier}", None, WillLimits(), take, incoming_bytes=ANSWER_BYTES
     ) as broker:  # fmt: skip
         deaf = await listen(broker, topic)
         async with anyio.create_task_group() as tasks:
@@ -144,15 +150,16 @@ async def send_stops(
     return [one.result for one in stops if one.result is not None]
 
 
-async def listen(broker: Broker, topic: str) -> str:
-    """Subscribe to answers; returns why that is not possible. Stops are sent in any case."""
+async def listen(broker: Broker, topic: str) -> BrokerError | None:
+    """Subscribe to answers; returns why that failed. Stops are sent in any case.
+
+    With QoS 0: of many answers with QoS 1 a broker drops those that its queue does not hold.
+    """
     try:
-        await broker.subscribe((topic,), qos=1)
+        await broker.subscribe((topic,), qos=0, within_s=LISTEN_WITHIN_S)
     except BrokerError as exc:
-        if not exc.is_refused:
-            raise
-        return f"the broker does not let this user hear the answer ({exc})"
-    return ""
+        return exc
+    return None
 
 
 async def stop(
@@ -160,7 +167,7 @@ async def stop(
     asked: Asked,
     message: Message,
     within_s: float,
-    deaf: str,
+    deaf: BrokerError | None,
     heard: Callable[[StopResult], None],
 ) -> None:
     """Send one stop and wait for its answer."""
@@ -182,8 +189,8 @@ async def stop(
                            "the broker does not let this user publish it" if is_forbidden else
                            f"the broker refuses it (MQTT reason code {code})", EMERGENCY)
             )  # fmt: skip
-        elif deaf:
-            asked.end(not_known(asked.root, deaf))
+        elif deaf is not None and deaf.is_refused:
+            asked.end(not_known(asked.root, f"no answer can be heard ({deaf})"))
         await asked.over.wait()
     asked.end(not_known(asked.root, f"no answer came within {within_s:g} s"))
     assert asked.result is not None

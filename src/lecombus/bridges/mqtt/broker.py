@@ -373,6 +373,8 @@ async def open_broker(
     will: Message | None,
     will_limits: WillLimits,
     take: Callable[[Incoming], None],
+    *,
+    incoming_bytes: int = INCOMING_BYTES,
 ) -> AsyncIterator[Broker]:
     """Connect to the broker, and end the connection in good order.
 
@@ -382,11 +384,12 @@ async def open_broker(
         will: What the broker says when the client is lost; None: nothing.
         will_limits: What it takes of that; changed when it turns out to be less.
         take: Called with each message that comes.
+        incoming_bytes: The largest packet that the broker may send.
 
     Raises:
         BrokerError: It cannot be reached, refuses, or a file is missing or wrong.
     """
-    client = client_for(entry, identifier, will, will_limits)
+    client = client_for(entry, identifier, will, will_limits, incoming_bytes)
     client.take = take
     client._client.connect_timeout = CONNECT_WITHIN_S
     try:
@@ -413,7 +416,11 @@ def refusal(exc: aiomqtt.MqttError, will_limits: WillLimits) -> BrokerError:
 
 
 def client_for(
-    entry: MqttEntry, identifier: str, will: Message | None, will_limits: WillLimits
+    entry: MqttEntry,
+    identifier: str,
+    will: Message | None,
+    will_limits: WillLimits,
+    incoming_bytes: int,
 ) -> BridgeClient:
     """Return a client that is not connected yet.
 
@@ -423,7 +430,7 @@ def client_for(
     properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
     properties.SessionExpiryInterval = 0
     properties.ReceiveMaximum = INCOMING_AT_ONCE
-    properties.MaximumPacketSize = INCOMING_BYTES
+    properties.MaximumPacketSize = incoming_bytes
     said = None
     if will is not None:
         said = aiomqtt.Will(
