@@ -420,7 +420,7 @@ def client_for(
     identifier: str,
     will: Message | None,
     will_limits: WillLimits,
-    incoming_bytes: int,
+    incoming_bytes: int = INCOMING_BYTES,
 ) -> BridgeClient:
     """Return a client that is not connected yet.
 
