@@ -76,6 +76,11 @@ def up(of: str = FEEDER, values: str = "1x200") -> dict[str, str]:
     return {f"lecombus_drive_up{{{of}}}": values}
 
 
+def silenced(of: str = FEEDER) -> dict[str, str]:
+    """On purpose, after the end of its lease."""
+    return {f"lecombus_drive_silenced{{{of}}}": "1x200"}
+
+
 LINE_UP = {f"lecombus_line_up{{{LINE}}}": "1x200"}
 BELT_UP = up(BELT)
 TRIPS = {
@@ -133,7 +138,16 @@ CASES = (
         quiet=(
             ({**up(values="0x60"), **BELT_UP, **LINE_UP}, ("100s",)),
             ({**up(values="0x60"), f"lecombus_line_up{{{LINE}}}": "0x60"}, ("100s",)),
+            ({**up(values="0x60"), **up(BELT, "0x60"), **LINE_UP, **silenced(), **silenced(BELT)},
+             ("100s",)),
         ),
+        labels=OF_LINE,
+    ),
+    Case(
+        "LecombusLineSilent",
+        {**up(values="0x60"), **up(BELT, "1x11 0x48"), **LINE_UP, **silenced()},
+        firing=("100s",),
+        not_yet=("55s", "80s"),
         labels=OF_LINE,
     ),
     Case(
@@ -144,6 +158,7 @@ CASES = (
         quiet=(
             ({**up(), **BELT_UP, **LINE_UP}, ("200s",)),
             ({**up(values="0x60"), **up(BELT, "0x60"), **LINE_UP}, ("200s",)),
+            ({**up(values="0x60"), **BELT_UP, **LINE_UP, **silenced()}, ("200s",)),
         ),
     ),
     *(
