@@ -4,8 +4,7 @@
 
 Each line runs `MqttBridge` with its own connection. What the bridge asks of its daemon is answered
 here, from a state that lines on standard input change: `trip LINE DRIVE`, `well LINE DRIVE`,
-`offline LINE DRIVE`, `away LINE` (its daemon does not answer), `silent LINE` (its bridge sends
-nothing more, and its connection stays). Each is answered by a line `ok`.
+`offline LINE DRIVE`, `away LINE` (its daemon does not answer). Each is answered by a line `ok`.
 """
 
 from __future__ import annotations
@@ -90,7 +89,6 @@ def play(bridge: MqttBridge, daemon: PlayedDaemon) -> None:
 async def serve(port: int, count: int, drives: int) -> None:
     names = [f"drive-{at}" for at in range(drives)]
     daemons: dict[str, PlayedDaemon] = {}
-    scopes: dict[str, MqttBridge] = {}
     text = [(name, 11 + at, "8200vector") for at, name in enumerate(names)]
     roster = make_roster(
         text, sections=f"mqtt: {{host: 127.0.0.1, port: {port}, tls: no}}"
@@ -103,12 +101,12 @@ async def serve(port: int, count: int, drives: int) -> None:
                 update={"line": roster.line.model_copy(update={"name": line}),
                         "api": roster.api.model_copy(update={"socket": "/nowhere"})}
             )  # fmt: skip
-            bridge = scopes[line] = MqttBridge(own, None)
+            bridge = MqttBridge(own, None)
             play(bridge, daemon)
             tasks.start_soon(bridge.run)
         say_ok()
         while words := (await anyio.to_thread.run_sync(sys.stdin.readline)).split():
-            change(words, daemons, scopes)
+            change(words, daemons)
             say_ok()
         tasks.cancel_scope.cancel()
 
@@ -118,9 +116,7 @@ def say_ok() -> None:
     sys.stdout.flush()
 
 
-def change(
-    words: list[str], daemons: dict[str, PlayedDaemon], bridges: dict[str, MqttBridge]
-) -> None:
+def change(words: list[str], daemons: dict[str, PlayedDaemon]) -> None:
     what, line, *drive = words
     daemon = daemons[line]
     changes: dict[str, Callable[[dict[str, Any]], None]] = {
@@ -130,8 +126,6 @@ def change(
     }
     if what == "away":
         daemon.is_away = True
-    elif what == "silent":
-        bridges[line]._is_ending = True
     else:
         changes[what](daemon.drives[drive[0]])
 

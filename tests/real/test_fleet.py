@@ -160,6 +160,8 @@ def test_fifty_lines_of_which_some_need_attention() -> None:
 
         stops(hub, whole["hall-a"][0])
         broker_restarts(hub, seen, wanted)
+        with played(hub.port, 1):  # a second line-00: each takes the connection from the other
+            until(lambda: statuses(seen())["line-00"] == "name-clash", "the clash is found")
 
 
 def stops(hub: Broker, daemon: Daemon) -> None:
