@@ -22,8 +22,8 @@ def install(folder: Path) -> Path:
         folder: Where to; made if it is not there.
     """
     newer = shutil.which(PYTHON)
-    if newer is None:
-        missing(f"Home Assistant needs {PYTHON}")
+    if newer is None or subprocess.run([newer, "--version"], check=False).returncode:  # a shim
+        missing(f"Home Assistant needs {PYTHON} in PATH")
     subprocess.run([newer, "-m", "venv", folder], check=True)
     python = folder / "bin" / "python"
     words = ("-m", "pip", "install", "-qq", "--no-deps", "--prefer-binary", "-r", str(PACKAGES))
