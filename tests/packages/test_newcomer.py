@@ -162,7 +162,6 @@ def watch(root: DebianRoot) -> None:
         require("prometheus"), f"--config.file={place / 'prometheus.yml'}",
         f"--storage.tsdb.path={place / 'data'}", f"--web.listen-address={PROMETHEUS}",
     )  # fmt: skip
-    until(lambda: "lecombus_drive_up" in ask(root, "lecombus_drive_up == 1"), "it has scraped")
 
 
 def ask(root: DebianRoot, query: str) -> str:
@@ -176,6 +175,7 @@ def fires(root: DebianRoot, alert: str) -> bool:
 
 def trip(root: DebianRoot) -> None:
     """A drive trips, its alert fires, and the fault is reset."""
+    until(lambda: "lecombus_drive_up" in ask(root, "lecombus_drive_up == 1"), "it has scraped")
     assert not fires(root, "LecombusDriveTripped")
     simulator(root, "trip feeder 50")
     until(lambda: fires(root, "LecombusDriveTripped"), "the alert of the trip")
@@ -208,12 +208,21 @@ def use_mqtt(root: DebianRoot) -> None:
     assert re.search(r"\twrite\tfeeder\tdone\tcode=C0046 value=17 .*client=mqtt", journal), journal
 
 
-def back_up(root: DebianRoot) -> None:
+def begin_backup(root: DebianRoot) -> None:
     """The package's timer is off until it is wanted; its service is started here as it would."""
     assert root.run("systemctl", "is-enabled", f"{BACKUP}.timer", status=1).strip() == "disabled"
     root.run("systemctl", "enable", "--now", f"{BACKUP}.timer")
     assert BACKUP in root.run("systemctl", "list-timers", "--no-pager")
-    root.run("systemctl", "start", f"{BACKUP}.service")
+    root.run("systemctl", "start", "--no-block", f"{BACKUP}.service")
+
+
+def look_at_backup(root: DebianRoot) -> None:
+    service = f"{BACKUP}.service"
+
+    def ended() -> bool:
+        return root.run("systemctl", "is-active", service, status=None).strip() == "inactive"
+
+    until(ended, "the end of the backup, without a failure")
     words = ("find", BACKUPS, "-name", "*.yaml", "-user", "lecombus")
     files = root.run(*words).split()
     assert sorted(Path(name).name.partition(".")[0] for name in files) == ["belt", "feeder"]
@@ -311,12 +320,13 @@ def take_the_path(root: DebianRoot, package: Path, newer: Path, *, detours: bool
     make_token(root)
     connect_drives(root)
     start(root)
-    scrape(root)
     watch(root)
-    trip(root)
+    scrape(root)
     write(root)
+    trip(root)
+    begin_backup(root)
     use_mqtt(root)
-    back_up(root)
+    look_at_backup(root)
     unplug(root)
     upgrade(root, newer)
     upgrade_with_a_roster_that_is_refused(root)
