@@ -303,3 +303,10 @@ def test_a_line_that_was_silent_before_its_drives_were_silenced_stays_silent() -
     found.append(ward.health.is_silent)
     ward.exchange(GOOD)  # a stop of it
     assert [*found, ward.health.is_silent] == [True, True, False]
+
+
+def test_a_drive_that_missed_one_answer_before_it_was_silenced_says_nothing_of_the_line() -> None:
+    ward = Ward().online()
+    ward.exchange(MISSED)
+    ward.health.silence(ward.drive, "so that its watchdog acts")
+    assert not ward.health.is_silent

@@ -130,7 +130,8 @@ class Health:
 
         Drives that answered until they were silenced on purpose say nothing of the line.
         """
-        tried = [one.health for one in self._drives if not one.health.silenced or one.health.misses]
+        records = [drive.health for drive in self._drives]
+        tried = [one for one in records if not one.silenced or one.misses >= OFFLINE_AFTER]
         return bool(tried) and all(health.state is DriveState.OFFLINE for health in tried)
 
     def line_changed(self, change: LineChange) -> None:
