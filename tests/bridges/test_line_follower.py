@@ -46,6 +46,7 @@ class Daemon:
         self.every_s = 1.0
         self.planned_stretch = 1.0
         self.drives = ["feeder"]
+        self.silenced: set[str] = set()
         self.is_silent = False
         self.is_gone = False
         self.reads_itself = True
@@ -80,7 +81,8 @@ class Daemon:
                          "planned_stretch": self.planned_stretch},
             "/v1/plan": {"roster": {"drives": [{"name": "feeder", "cyclic": [
                 {"code": "C0050", "every_s": self.every_s}]}]}},
-            "/v1/leases": {"leases": []},
+            "/v1/leases": {"leases": [], "drives": [
+                {"drive": name, "silenced": name in self.silenced} for name in self.drives]},
         }[path])  # fmt: skip
 
     def value(self) -> dict[str, Any]:
@@ -182,6 +184,37 @@ def test_a_change_is_given_once_by_an_event_or_by_a_look() -> None:
         assert seen.kinds()[5:] == ["trip"]
         assert not seen.given[-1].data.get("active")
         assert seen.follower.drives["feeder"].fault is None
+
+    follow(script)
+
+
+def test_it_knows_which_drives_are_silenced_on_purpose() -> None:
+    async def script(seen: Followed) -> None:
+        daemon, follower = seen.daemon, seen.follower
+        daemon.silenced = {"feeder"}
+        await anyio.sleep(0.5)
+        assert follower.silenced == {"feeder"}
+        daemon.silenced = set()
+        daemon.say("lease", what="silence-ended", drives=["feeder"])
+        await anyio.sleep(0.1)
+        assert not follower.silenced
+        daemon.say("lease", what="silenced", drives=["feeder"])
+        await anyio.sleep(0.1)
+        assert follower.silenced == {"feeder"}, "before its state is said"
+        await anyio.sleep(5)
+        assert not follower.silenced, "as a look shows"
+        daemon.silenced = {"feeder"}
+        daemon.say("lease", what="silenced", drives=["feeder"])
+        await anyio.sleep(5)
+        daemon.drives = []
+        await anyio.sleep(5)
+        assert not follower.silenced
+        daemon.drives, daemon.silenced = ["feeder"], {"feeder"}
+        daemon.say("lease", what="silenced", drives=["feeder"])
+        await anyio.sleep(5)
+        daemon.is_silent = True
+        await anyio.sleep(AWAY_AFTER_S + 3)
+        assert not follower.silenced
 
     follow(script)
 

@@ -57,6 +57,10 @@ class Seen:
         self.follower.drives[drive].state, self.follower.drives[drive].reason = state, reason
         self.say("state", drive)
 
+    def silence(self, *drives: str) -> None:
+        """Have the picture show just these drives as silenced."""
+        self.follower.silenced = set(drives)
+
     def line(self, state: str, reason: str = "") -> None:
         assert self.follower.line is not None
         self.follower.line = replace(self.follower.line, state=state, reason=reason)
@@ -221,6 +225,65 @@ def test_a_drive_on_hold_is_named_as_such(seen: Seen) -> None:
     assert not seen.given[-1].is_update
     seen.say("lease", what="unlatched", drives=["feeder"])
     assert seen.found()[-1] == ("lease-lapse", "feeder", False)
+
+
+def test_a_drive_that_is_silenced_on_purpose_is_not_lost(seen: Seen) -> None:
+    """As in the alerts of Prometheus: it has a message of its own, and is no silent drive."""
+    seen.say("lease", what="ended", end="released", lease="plc", drives=["feeder"])
+    seen.silence("feeder")
+    reason = "sent nothing, so that its watchdog acts"
+    seen.say("lease", what="silenced", drives=["feeder"], reason=reason)
+    seen.state("offline", reason=reason)
+    seen.say("looked")
+    assert [one.text for one in seen.given] == [
+        "silenced on purpose, so that its own watchdog stops it: see that it stands"
+    ]
+    assert seen.found() == [("lease-lapse", "feeder", True)]
+    seen.say("lease", what="taken", lease="plc", drives=["feeder"])
+    seen.state("offline", reason=reason)
+    assert seen.found() == [("lease-lapse", "feeder", False)]
+    seen.silence()
+    seen.say("lease", what="silence-ended", drives=["feeder"])
+    seen.state("starting")
+    seen.state("offline", reason="4 exchanges failed")
+    assert seen.found() == [("drive-lost", "feeder", True)], "it is spoken to, and does not answer"
+
+
+def test_a_drive_that_was_lost_before_it_is_silenced_stays_lost(seen: Seen) -> None:
+    seen.state("offline", reason="4 exchanges failed")
+    seen.silence("feeder")
+    seen.say("lease", what="silenced", drives=["feeder"])
+    seen.state("offline", reason="quick-stop is not proven, its watchdog is left to act")
+    assert seen.found() == [("drive-lost", "feeder", True), ("lease-lapse", "feeder", True)]
+    seen.silence()
+    seen.state("online")
+    assert seen.found() == [("drive-lost", "feeder", False)]
+
+
+@pytest.mark.parametrize("because", ["lapsed", "released", "started"])
+def test_a_drive_that_is_silenced_when_the_bridge_starts_is_said_so(because: str) -> None:
+    seen = Seen()
+    seen.connect()
+    seen.lose()
+    row = {"drive": "feeder", "lease": None, "latched": True, "because": because,
+           "on_lapse": "silence", "silenced": True}  # fmt: skip
+    seen.silence("feeder")
+    seen.found()
+    seen.connect(leases=(row,))
+    seen.state("offline", reason="sent nothing")
+    assert [one.text for one in seen.given] == [
+        "silenced on purpose, so that its own watchdog stops it: see that it stands"
+    ]
+    assert seen.found() == [("lease-lapse", "feeder", True)]
+
+
+def test_the_watchdog_of_a_silenced_drive_acts_on_purpose(seen: Seen) -> None:
+    seen.conditions.watchdog_missed({"feeder": 0})
+    seen.silence("feeder")
+    seen.conditions.watchdog_missed({"feeder": 1})
+    assert [one.text for one in seen.given] == [
+        "its watchdog was not fed, on purpose: it has probably acted"
+    ]
 
 
 def test_missed_watchdogs_are_those_since_the_last_look(seen: Seen) -> None:

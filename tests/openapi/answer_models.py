@@ -552,6 +552,7 @@ class DriveControlDocument(Document):
     lease: Annotated[str | None, Field(description="The lease that holds it")]
     latched: Annotated[bool, Field(description="It takes no setpoint until it is enabled")]
     because: Annotated[str | None, Field(description="started, lapsed or released")]
+    silenced: Annotated[bool, Field(description="It is sent nothing but stops, on purpose")]
 
 
 class LeasesDocument(Document):

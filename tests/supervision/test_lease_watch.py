@@ -570,6 +570,8 @@ def test_a_line_whose_drives_are_silenced_on_purpose_is_not_called_silent(
             first.alive = False
         await anyio.sleep(15.0)
         assert not plant.site.store.line().remarks
+        rows = {one["drive"]: one["silenced"] for one in first.ops.context.leases.drives_json()}
+        assert rows["a"] is True
         with pytest.raises(OperationError, match="so that its watchdog acts") as caught:
             await first.ops.write("a", Code(46), 5)
         assert caught.value.kind == "offline"

@@ -164,6 +164,7 @@ class LineFollower:
         line: How the line is doing; None: the daemon is away.
         drives: The drives, by name.
         leases: `GET /v1/leases`; empty while the daemon is away.
+        silenced: The drives that are sent nothing but stops, on purpose; empty while it is away.
         last_id: The id of the last event, for `after`.
     """
 
@@ -183,6 +184,7 @@ class LineFollower:
         self.line: LineStatus | None = None
         self.drives: dict[str, FollowedDrive] = {}
         self.leases: Mapping[str, Any] = {}
+        self.silenced: set[str] = set()
         self.last_id = after
         self._look_every_s = look_every_s
         self._wall = wall
@@ -254,7 +256,7 @@ class LineFollower:
                     self._periods_due_s = asked_s + PERIODS_EVERY_S
                 if self._leases_due:
                     self._leases_due = False
-                    self.leases = (await line.ask("/v1/leases")).data
+                    self._take_leases((await line.ask("/v1/leases")).data)
                 asked_s = anyio.current_time()
                 status = await line.status()
                 drives = (await line.ask("/v1/drives")).data["drives"]
@@ -266,7 +268,7 @@ class LineFollower:
         is_loss = self.is_connected or self.why_away == NOT_ASKED
         is_new = self.why_away != why
         self.is_connected, self.why_away = False, why
-        self.line, self.leases = None, {}
+        self.line, self.leases, self.silenced = None, {}, set()
         for drive in self.drives.values():
             if drive.state != UNKNOWN:
                 self._states_before[drive.name] = state_of(drive)
@@ -286,6 +288,7 @@ class LineFollower:
         now_s, data = anyio.current_time(), event.data
         if event.kind == "lease":
             self._leases_due = True
+            self._take_silence(data)
         elif event.kind == "line":
             self._line_heard_s = now_s
             if self.line is not None and "state" in data:
@@ -301,11 +304,20 @@ class LineFollower:
         for listener in self.listeners:
             listener(event)
 
+    def _take_silence(self, data: Mapping[str, Any]) -> None:
+        """Take whether drives are silenced before the event that says what state they have."""
+        drives = map(str, data.get("drives") or ())
+        if data.get("what") == "silenced":
+            self.silenced.update(drives)
+        elif data.get("what") == "silence-ended":
+            self.silenced.difference_update(drives)
+
     def _take_drive_event(self, event: Event, now_s: float) -> bool:
         """Take an event about a drive; returns whether the listeners may have it."""
         data = event.data
         if event.kind == "state" and data.get("state") is None:
             self._states_before.pop(event.drive, None)
+            self.silenced.discard(event.drive)
             return self.drives.pop(event.drive, None) is not None
         drive = self.drives.get(event.drive)
         if drive is None:
@@ -351,6 +363,12 @@ class LineFollower:
             for one in drive["cyclic"]
         }
 
+    def _take_leases(self, leases: Mapping[str, Any]) -> None:
+        self.leases = leases
+        if not self._leases_due:  # no event came while it was asked
+            rows = leases.get("drives") or ()
+            self.silenced = {str(one["drive"]) for one in rows if one.get("silenced")}
+
     def _take_look(
         self, status: LineStatus, documents: Iterable[Mapping[str, Any]], asked_s: float
     ) -> None:
@@ -374,6 +392,7 @@ class LineFollower:
             if self.drives[name].heard_s < asked_s:
                 del self.drives[name]
                 self._states_before.pop(name, None)
+                self.silenced.discard(name)
                 self._give("state", name, {"drive": name, "state": None,
                                            "reason": "taken out of the roster"})  # fmt: skip
         self._give("looked", "", {})

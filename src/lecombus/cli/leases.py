@@ -30,7 +30,8 @@ def leases_command(daemon: DaemonOptions) -> int:
     lease's token. Tokens are never shown.
 
     In a pipe: one line a drive (drive, `required` or `free`, its lease, number, seconds until that
-    lapses, `latched` and why, `on_lapse`, who holds it). With --json: the daemon's document.
+    lapses, `latched` and why and whether it is silenced, `on_lapse`, who holds it). With --json:
+    the daemon's document.
     """
     show(ask(daemon, "/v1/leases"), _show, as_json=daemon.as_json)
     return Exit.DONE
@@ -42,12 +43,13 @@ def _show(document: Document) -> None:
     for drive in document.get("drives") or ():
         lease: Document = held.get(drive.get("lease") or "", {})
         holder: Document = lease.get("holder") or {}
+        silenced = ", silenced" if drive.get("silenced") else ""
         rows.append(
             (
                 *cells_of(drive, "drive"),
                 "required" if drive.get("required") else "free",
                 *cells_of(lease, "name", "number", "expires_in_s"),
-                f"latched: {drive.get('because')}" if drive.get("latched") else "",
+                f"latched: {drive.get('because')}{silenced}" if drive.get("latched") else "",
                 *cells_of(drive, "on_lapse"),
                 " ".join(f"{key}={text}" for key, text in holder.items()),
             )

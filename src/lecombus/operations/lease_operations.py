@@ -60,6 +60,7 @@ class Leases:
         changed: Called when the next lapse may come at another time, or a drive was enabled.
         followers: Told what becomes of leases and their drives.
         held_stops: Gives the stops of the line that a drive has shown just now.
+        is_silenced: Whether a drive is sent nothing but stops, so that its watchdog acts.
     """
 
     def __init__(self, state: State, clock: Callable[[], float], wall: Callable[[], float]) -> None:
@@ -70,6 +71,7 @@ class Leases:
         self.changed: Callable[[], None] = lambda: None
         self.followers: tuple[LeaseFollower, ...] = ()
         self.held_stops: Callable[[str], frozenset[StopAction]] = lambda drive: frozenset()
+        self.is_silenced: Callable[[str], bool] = lambda drive: False
         self._entries: Mapping[str, DriveEntry] = {}
 
     def set_roster(self, entries: Sequence[DriveEntry]) -> None:
@@ -186,6 +188,7 @@ class Leases:
                 "lease": None if control.lease is None else control.lease.name,
                 "latched": control.latch is not None,
                 "because": None if control.latch is None else control.latch.value,
+                "silenced": self.is_silenced(name),
             }
             for name, control in self.book.drives.items()
             if control.terms.required or control.lease is not None or control.latch is not None

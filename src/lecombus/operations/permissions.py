@@ -157,6 +157,11 @@ class Permissions:
         locked = self._store.drive(drive).write_lock
         return rights_of(self._entry(drive), station.family, locked)
 
+    def is_silenced(self, drive: str) -> bool:
+        """Whether a drive is sent nothing but stops, so that its watchdog acts."""
+        found = self._requests.drives.find(drive)
+        return found is not None and bool(found.health.silenced)
+
     def check_ready(self, drive: str, code: Code | None = None) -> None:
         """Refuse to write to a drive that is away, not audited yet, or locked.
 
@@ -169,7 +174,7 @@ class Permissions:
         is_open = self._store.line().state is LineState.OPEN
         if is_open and state.state in (DriveState.OFFLINE, DriveState.STARTING):
             remedy = "nothing was sent; a drive is written to once it answers and was audited"
-            if self._requests.drives.get(drive).health.silenced:
+            if self.is_silenced(drive):
                 remedy = (
                     "nothing was sent; it is spoken to again once a lease is held for it and its "
                     "watchdog has had its time"

@@ -147,7 +147,7 @@ class LineSummarizer:
                 yield from answer_items(drive, follower, now_s)
             missed_s = self._missed_s.get(drive.name)
             if missed_s is not None and now_s < missed_s + MISS_STANDS_S:
-                text = "its watchdog was fed too late: it has probably acted"
+                text = "its watchdog was not fed in time: it has probably acted"
                 yield item("watchdog-missed", drive.name, text)
 
 

@@ -26,6 +26,9 @@ LAPSES: Final = {
 }
 """How a lease ends that is a lapse; giving it up is none."""
 
+SILENCED: Final = "silenced on purpose, so that its own watchdog stops it: see that it stands"
+"""Of a drive that is sent nothing but stops, whichever end of a lease led to it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Happening:
@@ -83,6 +86,8 @@ class Conditions:
         """Drives that were not spoken to since the line was lost."""
         self._numbers: dict[str, Any] = {}
         self._misses: dict[str, int] | None = None
+        self._unfed: set[str] = set()
+        """Drives that were silenced since the misses were counted last."""
         self._away_at_s: float | None = clock()
 
     def take(self, event: Event) -> None:
@@ -113,6 +118,8 @@ class Conditions:
     def watchdog_missed(self, counts: Mapping[str, int]) -> None:
         """Take by drive how often its watchdog was fed too late since the daemon's start."""
         before, self._misses = self._misses, dict(counts)
+        unfed = self._unfed | self._follower.silenced
+        self._unfed = set(self._follower.silenced)
         if before is None:
             return
         for drive, count in counts.items():
@@ -120,7 +127,8 @@ class Conditions:
             missed = count - had if count >= had else count  # the daemon was started again
             if missed > 0:
                 times = "" if missed == 1 else f" {missed} times"
-                text = f"its watchdog was fed too late{times}: it has probably acted"
+                how = "not fed, on purpose" if drive in unfed else f"fed too late{times}"
+                text = f"its watchdog was {how}: it has probably acted"
                 self._happen(Happening("watchdog-missed", drive, True, text, self._wall()))
 
     # -- the line and its drives ------------------------------------------------------------------
@@ -155,6 +163,8 @@ class Conditions:
         if drive.name in self._without_line:
             return  # no drive answers then, and the line is what was lost
         if drive.state == "offline":
+            if drive.name in self._follower.silenced:
+                return  # nothing is sent to it, so it is not known whether it answers
             self._set("drive-lost", drive.name, f"it does not answer: {drive.reason}")
         elif drive.state in ("online", "degraded"):
             self._set("drive-lost", drive.name, None, "it answers again")
@@ -168,6 +178,9 @@ class Conditions:
             elif what == "hold":
                 text = "it runs on without a controller (on_lapse: hold)"
                 self._set("lease-lapse", name, text, is_new=True)
+            elif what == "silenced":
+                self._unfed.add(name)
+                self._set("lease-lapse", name, SILENCED, is_new=True)
             elif what in ("taken", "unlatched"):
                 self._set("lease-lapse", name, None, "it has a controller again")
 
@@ -177,6 +190,8 @@ class Conditions:
             name = str(one["drive"])
             if one.get("lease") is not None or not one.get("latched"):
                 self._set("lease-lapse", name, None, "it has a controller again")
+            elif one.get("silenced"):
+                self._set("lease-lapse", name, SILENCED)
             elif one.get("because") == "lapsed":
                 text = f"its lease lapsed; on_lapse: {one.get('on_lapse')}"
                 self._set("lease-lapse", name, text)
