@@ -8,9 +8,17 @@ from pathlib import Path
 
 import pytest
 
+from lecombus.capacity.plan import make_promises
+from lecombus.fieldbus.lecom.protocol.exchange import Result
+from lecombus.fieldbus.lecom.simulator.line import build
+from lecombus.fieldbus.loop_interface import ExchangeReport, ResultKind
+from lecombus.fieldbus.requests import JobStep, StepKind
+from lecombus.parameters import Code
+from lecombus.schedule import Priority
 from proof import run
 from proof.losses import tolerant_line
 from proof.run import Asked, Record, asked_from
+from proof.watchdogs import Watchdogs
 from proof.world import Finding, run_line
 
 LENGTH_S = 40.0
@@ -32,11 +40,55 @@ def test_no_watchdog_acts_upon_as_many_lost_answers_as_are_tolerated(seed: int) 
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(
     ("tolerate", "seed"),
-    [*itertools.product((0, 2, 3), (1, 18, 36)), (2, 875), (2, 3004), (2, 3072)],
+    [
+        *itertools.product((0, 2, 3), (1, 18, 36)),
+        (2, 875),
+        (2, 3004),
+        (2, 3072),
+        (3, 56127),
+        (3, 58479),
+        (3, 70063),
+        (3, 70214),
+    ],
 )
 def test_nor_upon_any_other_number_that_is_tolerated(tolerate: int, seed: int) -> None:
     line = tolerant_line(seed, tolerate=tolerate, losses=tolerate, length_s=LENGTH_S)
     assert run_line(line).broken == ()
+
+
+def ended(drive: str, priority: Priority, *, answered: bool) -> ExchangeReport:
+    step = JobStep(StepKind.READ, Code(150))
+    kind = ResultKind.ANSWERED if answered else ResultKind.NO_REPLY
+    return ExchangeReport(drive, step, Result(kind, 0.0, 0.1), priority, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("tolerate", "lost", "between", "whose", "excused"),
+    [
+        (3, 2, False, 0, True),
+        (3, 1, False, 0, False),
+        (3, 2, True, 0, False),
+        (3, 2, False, 1, False),
+        (1, 2, False, 0, False),
+    ],
+)
+def test_only_a_stopped_drive_that_check_names_is_excused_and_only_for_its_own_lost_stops(
+    *, tolerate: int, lost: int, between: bool, whose: int, excused: bool
+) -> None:
+    line = tolerant_line(58047, tolerate=tolerate, losses=tolerate, length_s=1.0)
+    stopped = next(one.name for one in line.roster.drives if one.family == "820x")
+    sim = build([(d.name, d.address, d.family) for d in line.roster.drives])
+    said: list[str] = []
+    watchdogs = Watchdogs(line, make_promises(line.roster), sim, said.append)
+    for _ in range(lost):
+        watchdogs.ended(ended(stopped, Priority.STOP, answered=False))
+        if between:
+            watchdogs.ended(ended(stopped, Priority.CYCLIC, answered=True))
+    other = next(one.name for one in line.roster.drives if one.name != stopped)
+    acted = sim[(stopped, other)[whose]]
+    acted.model.watchdog_fired += 1
+    watchdogs.look(1.0)
+    assert said == ([] if excused else [f"the watchdog of {acted.name} acted"])
 
 
 @pytest.mark.timeout(300)

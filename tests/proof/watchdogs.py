@@ -4,21 +4,29 @@ Only the drives know when theirs acts; it is looked at with every exchange. Not 
 that went away, and what follows from the first telegram of a stop that is not answered: it waits
 for nothing, because its drive is supposed to be there, and nothing keeps room for it. That excuse
 lasts until the feeds have had one round; what comes later is held against the line. There is no
-excuse where no more answers are lost than the roster's hypothesis allows (`losses`).
+excuse where no more answers are lost than the roster's hypothesis allows (`losses`), but one that
+`check` names beforehand: the watchdog of a drive that is being stopped may act when two or more
+answers of its own stop are lost. It is the own one alone, and only of a drive that is named.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 
 from lecombus.capacity.exchange_costs import watched_s
 from lecombus.capacity.plan import Promises
+from lecombus.config import line_timing
+from lecombus.config.warnings import lost_stops
 from lecombus.fieldbus.lecom.simulator.line import SimLine
 from lecombus.fieldbus.loop_interface import ExchangeReport, ResultKind
 from lecombus.schedule import Priority
 from proof.lines import RandomLine
 
 __all__ = ["Watchdogs"]
+
+STOPS_LOST = 2
+"""From so many lost answers of one stop on its drive's own watchdog may act, if `check` says so."""
 
 
 class Watchdogs:
@@ -45,6 +53,9 @@ class Watchdogs:
         self._gone: set[str] = set()
         self._silent: set[str] = set()
         self._excused_until_s = 0.0
+        timing = line_timing(line.roster.line)
+        self._named = {name for name, _ in lost_stops(line.roster, timing)}
+        self._stops_lost: Counter[str] = Counter()  # by drive: since it answered last
         self.excused = 0
 
     def begin(self) -> None:
@@ -72,7 +83,15 @@ class Watchdogs:
             self._excused_until_s = max(self._excused_until_s, over_s)
         elif answered:
             self._silent.discard(report.drive)
+        if stop and not answered:
+            self._stops_lost[report.drive] += 1
         self.look(report.result.started_s)
+        if answered:
+            self._stops_lost.pop(report.drive, None)
+
+    def _is_named(self, drive: str) -> bool:
+        """Whether it lost so many answers of its own stop that its watchdog may act."""
+        return drive in self._named and self._stops_lost[drive] >= STOPS_LOST
 
     def look(self, now_s: float) -> None:
         """Judge what acted since the last look.
@@ -86,7 +105,7 @@ class Watchdogs:
         for drive, before, now in zip(self._drives, self._fired, found, strict=True):
             if now == before or drive.name in self._gone:
                 continue
-            if now_s <= self._excused_until_s:
+            if now_s <= self._excused_until_s or self._is_named(drive.name):
                 self.excused += 1
             else:
                 self._say(f"the watchdog of {drive.name} acted")

@@ -324,3 +324,67 @@ def test_a_stop_that_came_later_goes_before_more_proof_and_before_feeds() -> Non
     later = world.submit("b", P.STOP)
     assert world.schedule.stop_goes(world.now_s)
     assert world.step() is later
+
+
+LONG_STOP = FaultHypothesis(3, stop_s=0.28, stop_failed_s=0.53)  # of an 820X
+
+
+def lose(world: World, drives: list[str], until_s: float) -> None:
+    """Lose the answers of the next exchanges with these drives, one each in this order."""
+    while world.now_s < until_s:
+        world.silent = set(drives[:1])
+        count = len(world.sent)
+        if world.step() is None:
+            wake_s = world.schedule.wake_at_s(world.now_s)
+            world.now_s = min(until_s, until_s if wake_s is None else wake_s)
+        elif len(world.sent) > count and not world.sent[-1].reached:
+            drives = drives[1:]
+    world.silent = set()
+
+
+@pytest.mark.parametrize("first", [["a"], ["b"], ["a", "b"], ["b", "a"], ["a", "a"]])
+@pytest.mark.parametrize("after_ms", range(0, 900, 20))
+def test_a_stop_lost_in_the_pause_after_lost_answers_makes_no_watchdog_act(
+    first: list[str], after_ms: int
+) -> None:
+    world = World().drives("a", "b")
+    world.schedule.expect(LONG_STOP)
+    world.feed("a", 1.05)
+    world.feed("b", 1.05)
+    lose(world, [], 2.0)
+    lose(world, first, at_s := 2.0 + after_ms / 1000)
+    world.run(at_s)
+    world.silent = {"a"}
+    stop = world.submit("a", P.STOP, cost_s=0.25, worst_s=0.53)
+    repeat(world, stop, 2)
+    while not stop.attempts:
+        world.step()
+    world.silent = set()
+    world.run(6.0)
+    assert fired(world) == []
+
+
+def test_a_stop_whose_lost_answer_others_do_not_outlast_does_not_go_before_them_a_third_time() -> (
+    None
+):
+    """To keep its drive's own watchdog it would go, and answered it would not be too long."""
+    world = World().drives("a", "b", "c")
+    world.schedule.expect(LONG_STOP)
+    world.feed("a", 1.06)
+    world.now_s = 0.34
+    world.feed("b", 1.06)
+    world.feed("c", 1.06)
+    world.now_s = 0.4
+    world.silent = {"a"}
+    stop = world.submit("a", P.STOP, cost_s=0.06, worst_s=0.1)
+    repeat(world, stop, 4)
+    assert world.step() is stop
+    stop.worst_s = 0.53
+    assert world.step() is stop
+    assert world.now_s + COST_S > HARD_PART * 1.06, "its own feed is late already"
+    for _ in range(10):
+        world.step()
+        if not world.sent[-1].reached:
+            world.silent = set()
+    assert stop.attempts == 4
+    assert fired(world, "a") == []

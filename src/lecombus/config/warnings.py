@@ -42,7 +42,7 @@ from lecombus.roster import (
 from lecombus.schedule.watchdog_deadline import HARD_PART
 from lecombus.schedule.watchdog_set import WatchdogSet
 
-__all__ = ["counted", "cyclic_load", "find_warnings"]
+__all__ = ["counted", "cyclic_load", "find_warnings", "lost_stops"]
 
 _LATE_ANSWER_SAFE_S: Final = 0.5
 """Longest processing time of the 2102 module. Source: EDB2102EN 3.5 (C1920..C1923, 500 ms)."""
@@ -62,7 +62,7 @@ def find_warnings(roster: Roster) -> list[str]:
     found = list(_line(roster.line))
     found.extend(_load(roster, timing))
     found.extend(_gathered(_feeding(roster)))
-    found.extend(_gathered(_lost_stops(roster, timing)))
+    found.extend(_gathered(lost_stops(roster, timing)))
     found.extend(_slow_codes(roster, timing))
     found.extend(_adapter(roster, timing))
     found.extend(_unwatched(roster))
@@ -151,24 +151,26 @@ def _feeding(roster: Roster) -> Iterator[tuple[str, str]]:
             yield drive.name, text + outlast
 
 
-def _lost_stops(roster: Roster, timing: LineTiming) -> Iterator[tuple[str, str]]:
-    """Warn of watchdogs that act when all answers that are tolerated are those of its own stop.
+def lost_stops(roster: Roster, timing: LineTiming) -> Iterator[tuple[str, str]]:
+    """Warn of watchdogs that act when several of the lost answers are those of its own stop.
 
     The first telegram of a stop waits for nothing, and for each of the others no more is kept than
-    for a lost feed.
+    for a lost feed. The warning gives the least number of these that is too many.
     """
     demand = demand_of(roster, timing)
-    lost = demand.tolerate
-    for drive in demand.drives if lost > 1 else ():
+    tolerate = demand.tolerate
+    for drive in demand.drives if tolerate > 1 else ():
         time_s, failed_s = watched_s(drive) or 0.0, stop_attempt_s(drive, timing)
         left_s = (1.0 - HARD_PART) * time_s + demand.behind_s()
-        if lost * failed_s > left_s:
-            yield (
-                drive.name,
-                f"its watchdog may act when {_lost(lost)} lost that are all of one stop of this "
-                f"drive: each holds the line for {format_duration(round(failed_s, 3))}; it is "
-                "being stopped",
-            )
+        for lost in range(2, tolerate + 1):
+            if lost * failed_s + (tolerate - lost) * demand.lost_s > left_s:
+                yield (
+                    drive.name,
+                    f"its watchdog may act when {_lost(lost)} lost that are all of one stop of "
+                    f"this drive: each holds the line for {format_duration(round(failed_s, 3))}; "
+                    "it is being stopped",
+                )
+                break
 
 
 def _lost(count: int) -> str:

@@ -444,7 +444,7 @@ class Schedule(DriveTable):
         feed = self._watchdogs.by_drive.get(request.drive)
         if feed is not None and feed.active and not request.members:
             if not reached:
-                feed.failed(now_s, self._watchdogs.faults.tolerate)
+                self._watchdogs.failed(feed, now_s)
             elif started_s >= feed.fed_at_s:
                 feed.reached(started_s)
                 if feed.left_out:  # it counts in the slack check again

@@ -16,8 +16,9 @@ few of them in a row other drives act by their own watchdogs. So:
 * The wait must not make the stopped drive's own watchdog act: that drive may be there, and may have
   missed no more than the lost answers that are tolerated (`FaultHypothesis`). Its own feed does
   not go before its stop; if the next feed is due after its own and would make it late, the stop
-  goes first. But where the stop, although answered, would take so long that others act (an 820X:
-  0.2 s), the drive's feed goes in its place, and the stop when there is room or after that time.
+  goes first. But where the stop would take so long that others act, although answered (an 820X:
+  0.2 s) or, while that is tolerated, not answered (half a second), the drive's feed goes in its
+  place, and the stop when there is room or after that time.
 
 A drive that answers anything else is no longer silent, and its stop goes first again. Only what is
 read for more proof, when it has acknowledged the stop and shown it, waits in the same way: the plan
@@ -108,14 +109,17 @@ class SilentStops:
     ) -> Request:
         """Choose what feeds the drive to be stopped: its stop, or its feed where that is shorter.
 
-        A stop that is answered may take long, too: it must leave others the last tenth of theirs.
-        While its drive is left alone, the other feed goes.
+        A stop that is answered may take long, too: it must leave others the last tenth of theirs,
+        also if it is not answered, while that is one of the lost answers that are tolerated. While
+        its drive is left alone, the other feed goes.
         """
         feeds = self._watchdogs
-        answered_s = min(stop.worst_s, max(stop.cost_s, feeds.faults.stop_s))
-        if answered_s <= own.cost_s:
+        takes_s = min(stop.worst_s, max(stop.cost_s, feeds.faults.stop_s))
+        if takes_s <= own.cost_s:
             return stop
-        if feeds.fits(now_s, answered_s - feeds.tenth_s(), stop.drive):
+        if own.failures < feeds.faults.tolerate:
+            takes_s = stop.worst_s
+        if feeds.fits(now_s, takes_s - feeds.tenth_s(), stop.drive):
             return stop
         if own.held_until_s > now_s:
             return self._arbiter.plain(other)

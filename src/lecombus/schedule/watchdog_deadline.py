@@ -79,10 +79,19 @@ class FaultHypothesis:
             lost_s: The longest feed that is not answered.
             tenth_s: A tenth of the shortest watchdog time.
         """
-        if not self.tolerate:
-            return 0.0
-        stop_s = self.stop_behind_s(lost_s, tenth_s)
-        return (self.tolerate - 1) * lost_s + max(lost_s, stop_s)
+        return self.left_s(self.tolerate, lost_s, tenth_s) if self.tolerate else 0.0
+
+    def left_s(self, left: int, lost_s: float, tenth_s: float) -> float:
+        """Return how much slack it takes that so many more answers are lost, with a stop, seconds.
+
+        Args:
+            left: So many answers.
+            lost_s: The longest feed that is not answered.
+            tenth_s: A tenth of the shortest watchdog time.
+        """
+        if not left:
+            return max(self.stop_s - tenth_s, 0.0)
+        return (left - 1) * lost_s + max(lost_s, self.stop_behind_s(lost_s, tenth_s))
 
     def stop_behind_s(self, lost_s: float, tenth_s: float) -> float:
         """Return how much slack a stop and one lost answer take, seconds; arguments as above.
@@ -285,6 +294,10 @@ class WatchdogDeadline:
         least_s = 0.0 if self.failures <= max(1, tolerate) else RETRY_LEAST_S
         pause_s = max(pause_s, least_s)
         self.retry_at_s = now_s + pause_s if pause_s > 0.0 else -math.inf
+
+    def pause_until(self, by_s: float, now_s: float) -> None:
+        """Have it asked again by a time at the latest; by a time that is past: now."""
+        self.retry_at_s = min(self.retry_at_s, by_s) if by_s > now_s else -math.inf
 
     def outlasts(self, now_s: float, worst_s: float) -> bool:
         """Return whether a failed exchange with the drive would leave time to feed it afterwards.

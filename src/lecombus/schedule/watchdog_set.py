@@ -249,6 +249,19 @@ class WatchdogSet:
             return None
         return None if own.outlasts(now_s, worst_s) or own.free_s() > now_s else own
 
+    def failed(self, feed: WatchdogDeadline, now_s: float) -> None:
+        """Note that a drive did not answer, and when to ask it again.
+
+        Its pause ends while there is still room for the answers that may yet be lost and for a
+        stop: a stop waits for nothing, and what is not free to be fed is not fed before it.
+        """
+        tolerate = self.faults.tolerate
+        feed.failed(now_s, tolerate)
+        left = tolerate - feed.failures
+        if tolerate and left >= 0:
+            by_s = now_s + self.slack_s(now_s) - self.faults.left_s(left, *self._losses())
+            feed.pause_until(by_s, now_s)
+
     def own_late(self, from_s: float, drive: str) -> WatchdogDeadline | None:
         """Find the feed of a drive if it would be late, were it spoken to only from a time on.
 
