@@ -18,6 +18,7 @@ from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
 from lecombus.backups import Restored, make_plan, wanted_codes
 from lecombus.cli.backup import Notes
+from lecombus.cli.drive_access import HttpDrive
 from lecombus.cli.restore import result_json, show_plan, show_result
 from lecombus.drives import family
 from lecombus.parameters import Code, Value
@@ -228,6 +229,43 @@ def test_a_drive_that_cannot_be_read_is_named_and_the_others_are_backed_up(
     assert [one["drive"] for one in json.loads(ran.out)["drives"]] == ["belt"]
     told = json.loads(ran.err)
     assert (told["status"], told["drive"]) == (1, "feeder")
+
+
+def test_drives_that_are_offline_are_passed_over_without_a_wait_and_named_with_the_reason(
+    run: Run, two: dict[str, Drive], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def no_wait(drive: HttpDrive, for_s: float) -> None:
+        raise AssertionError("a drive that is offline was waited for")
+
+    monkeypatch.setattr(HttpDrive, "pause", no_wait)
+    two["feeder"].state("offline")
+    ran = run("backup", "--all", "-o", str(tmp_path), "--partial")  # and no file of nothing
+    assert (ran.status, drives_in(tmp_path)) == (1, ["belt"])
+    said = ran.err.splitlines()
+    assert said[0].startswith("belt: ")
+    assert said[1:] == ["feeder was not backed up: feeder is offline"]
+    ran = run("backup", "--all", "-o", str(tmp_path), "--json")
+    assert json.loads(ran.err)["kind"] == "offline"
+
+
+def test_a_lost_line_is_waited_for_once_and_not_for_each_drive(
+    run: Run, two: dict[str, Drive], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 0.0
+
+    async def wait(drive: HttpDrive, for_s: float) -> None:
+        nonlocal now_s
+        now_s += for_s
+        drive.waited_s += for_s
+
+    monkeypatch.setattr(HttpDrive, "pause", wait)
+    monkeypatch.setattr(HttpDrive, "now_s", lambda drive: now_s)
+    two["feeder"].set_line("lost")
+    ran = run("backup", "--all", "-o", str(tmp_path))
+    assert (ran.status, now_s, drives_in(tmp_path)) == (1, 60.0, [])
+    assert [line for line in ran.err.splitlines() if "not backed up" in line] == [
+        f"{name} was not backed up: line hall-3 is lost: unplugged" for name in ("feeder", "belt")
+    ]
 
 
 def test_what_is_incomplete_is_written_if_wanted_and_takes_the_place_of_nothing(

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from lecombus.backups import ReadAttempt, WriteAttempt
+from lecombus.backups import NotUsable, ReadAttempt, WriteAttempt
 from lecombus.drives import Family, family
 from lecombus.parameters import Code, Value
 
@@ -53,6 +53,7 @@ class FakeDrive:
     refuses: Callable[[FakeDrive, Code, Value], str] = lambda drive, code, value: ""
     pauses: int = 0
     stopped: bool = False
+    is_offline: bool = False
 
     def __post_init__(self) -> None:
         self.texts.update({**INHIBITED, **{k: v for k, v in self.texts.items() if k in (40, 150)}})
@@ -110,12 +111,12 @@ class FakeDrive:
         self.enable_it()
         return WriteAttempt(True)
 
-    async def why_not_usable(self) -> str:
+    async def why_not_usable(self) -> NotUsable | None:
         if self.away:
             self.back_after -= 1
             if self.back_after < 0:
                 self.away = ""
-        return self.away
+        return NotUsable(self.away, self.is_offline) if self.away else None
 
     async def pause(self, for_s: float) -> None:
         self.pauses += 1

@@ -33,7 +33,7 @@ from .restoring import (
     read_progress,
     restore,
 )
-from .taking import Listener, RestoreAccess, Taken, take
+from .taking import Listener, NotUsable, RestoreAccess, Taken, take
 
 __all__ = [
     "Backup",
@@ -42,6 +42,7 @@ __all__ = [
     "Comparison",
     "Difference",
     "Listener",
+    "NotUsable",
     "Progress",
     "ReadAttempt",
     "RestoreAccess",

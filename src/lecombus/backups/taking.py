@@ -15,12 +15,25 @@ from typing import Final, Protocol
 from lecombus.drives.procedures import DriveAccess, ReadAttempt, WriteAttempt, is_passing
 from lecombus.parameters import Code
 
-__all__ = ["Listener", "RestoreAccess", "Taken", "take", "wait_until_usable"]
+__all__ = ["Listener", "NotUsable", "RestoreAccess", "Taken", "take", "wait_until_usable"]
 
 LOOK_AGAIN_S: Final = 1.0
 
 TRIES: Final = 4
 """How often one code is asked: more than a line that is plugged in again ever needs."""
+
+
+@dataclass(frozen=True, slots=True)
+class NotUsable:
+    """Why a drive cannot be asked now.
+
+    Args:
+        text: The reason.
+        is_offline: The line is open, and the drive does not answer.
+    """
+
+    text: str
+    is_offline: bool = False
 
 
 class RestoreAccess(DriveAccess, Protocol):
@@ -35,8 +48,8 @@ class RestoreAccess(DriveAccess, Protocol):
     async def enable(self) -> WriteAttempt:
         """Lift the inhibit."""
 
-    async def why_not_usable(self) -> str:
-        """Return why the drive cannot be asked now; empty when it can."""
+    async def why_not_usable(self) -> NotUsable | None:
+        """Return why the drive cannot be asked now; None when it can."""
 
     async def pause(self, for_s: float) -> None:
         """Wait, seconds."""
@@ -74,8 +87,9 @@ class Taken:
 
 
 async def take(
-    access: RestoreAccess, codes: Sequence[Code], *, patience_s: float, listener: Listener
-) -> Taken:
+    access: RestoreAccess, codes: Sequence[Code], *, patience_s: float, listener: Listener,
+    pass_over: bool = False,
+) -> Taken:  # fmt: skip
     """Read codes.
 
     Args:
@@ -83,6 +97,8 @@ async def take(
         codes: What to read.
         patience_s: How long to wait, each time, for a drive or a line that is away, seconds.
         listener: Called with the progress.
+        pass_over: Do not wait for a drive that is offline before anything was read of it; one
+            that falls silent later has probably restarted, and is waited for.
     """
     answers: dict[Code, ReadAttempt] = {}
     pending = list(dict.fromkeys(codes))
@@ -93,7 +109,10 @@ async def take(
         listener.advance(sum(not is_unsettled(one) for one in answers.values()), total)
 
     for _ in range(TRIES):
-        why = await wait_until_usable(access, patience_s, listener)
+        is_begun = any(one.value is not None for one in answers.values())
+        why = await wait_until_usable(
+            access, patience_s, listener, also_offline=is_begun or not pass_over
+        )
         if why or not pending:
             break
         await access.read_many(pending, heard)
@@ -110,24 +129,29 @@ def is_unsettled(answer: ReadAttempt | None) -> bool:
     return answer is None or (answer.value is None and is_passing(answer.kind))
 
 
-async def wait_until_usable(access: RestoreAccess, patience_s: float, listener: Listener) -> str:
+async def wait_until_usable(
+    access: RestoreAccess, patience_s: float, listener: Listener, *, also_offline: bool = True
+) -> str:
     """Wait until a drive can be asked.
 
     Args:
         access: The drive.
         patience_s: How long, seconds.
         listener: Called once when the wait begins, and once when it ends.
+        also_offline: Wait for a drive that is offline, too.
 
     Returns:
         Why it still cannot be asked; empty when it can.
     """
     since_s, said = access.now_s(), ""
     while why := await access.why_not_usable():
-        if why != said:
-            listener.say(f"waiting: {why}")
-            said = why
+        if why.is_offline and not also_offline:
+            return why.text
+        if why.text != said:
+            listener.say(f"waiting: {why.text}")
+            said = why.text
         if access.now_s() - since_s >= patience_s:
-            return why
+            return why.text
         await access.pause(LOOK_AGAIN_S)
     if said:
         listener.say("going on")

@@ -45,7 +45,6 @@ from lecombus.cli.daemon_access import connected
 from lecombus.cli.drive_access import HttpDrive
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.screen import Bar, counted, progress
-from lecombus.client.line import Line
 from lecombus.errors import ConfigError
 from lecombus.fieldbus.protocols import family_of_any_protocol
 from lecombus.parameters import Code, Json, Value
@@ -254,8 +253,9 @@ def backup_command(
     with the reason. If codes could not be read because the line or the drive was not available,
     the backup is incomplete: without --partial it is not written (exit status 1).
 
-    With --all every drive of the line is read, one after the other, into FOLDER/DRIVE.TIME.yaml;
-    a drive that cannot be read is named (exit status 1) and does not stop the others.
+    With --all every drive of the line is read, one after the other, into FOLDER/DRIVE.TIME.yaml.
+    A drive that is offline is passed over. --wait holds for all drives together. Each drive that
+    was not backed up is named with the reason, the others are backed up; exit status 1 then.
 
     `lecombus diff` compares such files and drives, `lecombus restore` writes one back. With --json:
     {"drive", "file", "complete", "codes": [{"code", "name", "section", "raw", "unit", "reason"}]};
@@ -279,7 +279,8 @@ class Wanted:
 
     Args:
         also: Further codes.
-        patience_s: How long to wait, each time, for a line or a drive that is away, seconds.
+        patience_s: How long to wait for a line or a drive that is away, seconds: each time, for
+            several drives in all.
         partial: Also write what is not complete.
     """
 
@@ -323,8 +324,9 @@ def said_of(backup: Backup, output: Path) -> str:
 
 
 async def read_drive(
-    drive: HttpDrive, also: Iterable[Code], *, patience_s: float, listener: Listener
-) -> tuple[Backup, list[ReadAttempt]]:
+    drive: HttpDrive, also: Iterable[Code], *, patience_s: float, listener: Listener,
+    pass_over: bool = False,
+) -> tuple[Backup, list[ReadAttempt]]:  # fmt: skip
     """Read a drive whole.
 
     Args:
@@ -332,6 +334,7 @@ async def read_drive(
         also: Further codes; those that neither a description nor the drive knows are left out.
         patience_s: How long to wait, each time, for a line or a drive that is away, seconds.
         listener: Shows the progress.
+        pass_over: Do not wait for a drive that is offline.
 
     Returns:
         The backup, and what is missing in it for a reason that may pass.
@@ -342,7 +345,7 @@ async def read_drive(
     whose = await drive.whose()
     kind = family_of_any_protocol(whose.family)
     codes = wanted_codes(kind, also)
-    taken = await take(drive, codes, patience_s=patience_s, listener=listener)
+    taken = await take(drive, codes, patience_s=patience_s, listener=listener, pass_over=pass_over)
     entries = {
         code: BackupEntry(code, answer.value, missing=answer.kind)
         for code, answer in taken.answers.items()
@@ -397,17 +400,21 @@ def back_up_all(daemon: DaemonOptions, folder: Path, wanted: Wanted, keep: int |
     problems: list[Problem] = []
 
     async def fetch() -> None:
+        rest = wanted
         async with connected(daemon) as line:
             for one in (await line.ask("/v1/drives")).data["drives"]:
                 name = str(one["drive"])
+                drive = HttpDrive(line, name)
                 try:
                     with progress(name, quiet=daemon.as_json) as bar:
-                        documents.append(await back_up_into(folder, line, name, wanted, keep, bar))
+                        documents.append(await back_up_into(folder, drive, name, rest, keep, bar))
                 except CommandError as exc:
                     problems.extend(naming(name, problem) for problem in exc.problems)
                 except OSError as exc:
                     why = exc.strerror or type(exc).__name__
                     problems.append(naming(name, Problem(f"not written to {folder}: {why}")))
+                left_s = rest.patience_s - drive.waited_s
+                rest = replace(rest, patience_s=max(0.0, left_s))
 
     anyio.run(fetch)
     if daemon.as_json:
@@ -418,7 +425,7 @@ def back_up_all(daemon: DaemonOptions, folder: Path, wanted: Wanted, keep: int |
 
 
 async def back_up_into(
-    folder: Path, line: Line, name: str, wanted: Wanted, keep: int | None, bar: Bar
+    folder: Path, drive: HttpDrive, name: str, wanted: Wanted, keep: int | None, bar: Bar
 ) -> dict[str, Json]:
     """Back up one of several drives, drop its oldest files, and return the JSON form.
 
@@ -426,8 +433,12 @@ async def back_up_into(
         CommandError: It could not be read; its files are as they were.
         OSError: Its file could not be written.
     """
-    drive = HttpDrive(line, name)
-    backup, left = await read_drive(drive, wanted.also, patience_s=wanted.patience_s, listener=bar)
+    backup, left = await read_drive(
+        drive, wanted.also, patience_s=wanted.patience_s, listener=bar, pass_over=True
+    )
+    if left and all(entry.value is None for entry in backup.entries.values()):
+        problem = f"{name} was not backed up: {left[0].text}"
+        raise CommandError(Exit.FAILED, problem, kind=left[0].kind, drive=name)
     if left and not wanted.partial:
         raise incomplete(name, left, None)
     path = folder / f"{name}.{backup.head.taken.replace(':', '')}.yaml"

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import anyio
 
-from lecombus.backups import ReadAttempt, WriteAttempt
+from lecombus.backups import NotUsable, ReadAttempt, WriteAttempt
 from lecombus.cli.daemon_access import command_errors, drive_path
 from lecombus.cli.document_rows import kind_of
 from lecombus.cli.exits import CommandError, Exit
@@ -35,6 +35,7 @@ WRITE_WITHIN_S: Final = 45
 UNREACHABLE: Final = "unreachable"
 GOOD: Final = ("done", "verified")
 USABLE: Final = ("online", "degraded")
+OFFLINE: Final = "offline"
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +80,9 @@ class HttpDrive:
         drive: The drive's name.
         clock: Monotonic time, seconds.
         stops: As the restore rights have it: what is written ends with the next stop of the drive.
+
+    Attributes:
+        waited_s: How long the drive or its line was waited for, seconds.
     """
 
     def __init__(
@@ -93,6 +97,7 @@ class HttpDrive:
         self._name = drive
         self._clock = clock
         self.stops = stops
+        self.waited_s = 0.0
         self._path = drive_path(drive)
 
     # ---- who it is --------------------------------------------------------------------------
@@ -172,25 +177,28 @@ class HttpDrive:
     def _ended_by(self) -> dict[str, Json]:
         return {"stops": self.stops} if self.stops else {}
 
-    async def why_not_usable(self) -> str:
-        """Say why it cannot be asked just now; empty when it can."""
+    async def why_not_usable(self) -> NotUsable | None:
+        """Say why it cannot be asked just now; None when it can."""
         try:
             line = await self._ask("/v1/line")
             drive = await self._ask(self._path)
         except CommandError as exc:
             if exc.status is not Exit.UNREACHABLE:
                 raise
-            return why(exc)[1]
+            return NotUsable(why(exc)[1])
         if line["state"] != "open":
-            return f"line {line['line']} is {line['state']}: {line['reason'] or 'no reason given'}"
+            reason = line["reason"] or "no reason given"
+            return NotUsable(f"line {line['line']} is {line['state']}: {reason}")
         if drive["state"] not in USABLE:
             reason = f": {drive['reason']}" if drive["reason"] else ""
-            return f"{self._name} is {drive['state']}{reason}"
-        return ""
+            text = f"{self._name} is {drive['state']}{reason}"
+            return NotUsable(text, is_offline=drive["state"] == OFFLINE)
+        return None
 
     async def pause(self, for_s: float) -> None:
         """Let time pass, seconds."""
         await anyio.sleep(for_s)
+        self.waited_s += for_s
 
     def now_s(self) -> float:
         """Give monotonic time, seconds."""
