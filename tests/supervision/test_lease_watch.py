@@ -298,6 +298,46 @@ def test_many_setpoints_for_a_latched_drive_read_its_stops_once() -> None:
     with_plant(test, roster("8200vector", "quick-stop"))
 
 
+@pytest.mark.parametrize("cancelled", [1, 2, 3])
+def test_a_setpoint_that_is_cancelled_while_it_reads_the_stops_does_not_refuse_the_others(
+    cancelled: int,
+) -> None:
+    """The next one of them reads, and the others wait for that."""
+
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as first:
+            first.alive = False
+        await anyio.sleep(25.0)
+        client = Client(plant, "next")
+        client.take()
+        ended: dict[int, str] = {}
+        scopes = [anyio.CancelScope() for _ in range(6)]
+
+        async def write(value: int) -> None:
+            with scopes[value]:
+                ended[value] = await kind_of_refusal(
+                    client.do(client.ops.write("a", Code(46), value))
+                )
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(client.renewing)
+            await plant.online("a", within_s=30.0)
+            await anyio.sleep(3.0)  # what was shown before is too old
+            before = len(list(plant.line["a"].log))
+            async with anyio.create_task_group() as writes:
+                for value in range(len(scopes)):
+                    writes.start_soon(write, value)
+                for scope in scopes[:cancelled]:
+                    await anyio.sleep(0.02)
+                    scope.cancel()
+            assert ended == {value: "" for value in range(cancelled, len(scopes))}
+            asked = list(plant.line["a"].log)[before:]
+            assert 1 <= sum(one.kind == "read" and one.code == 1 for one in asked) <= 2 + cancelled
+            client.alive = False
+
+    with_plant(test, roster("8200vector", "quick-stop"))
+
+
 @pytest.mark.parametrize(("code", "value"), [(40, "0"), (135, "H0008")])
 def test_a_plain_write_that_stops_a_latched_drive_waits_for_no_reading(
     code: int, value: str

@@ -102,6 +102,19 @@ class StopMarks:
         return STOPPED if self.is_outdated(drive, mark) else ""
 
 
+class Look:
+    """A reading of a drive's stops for all writes that wait for it.
+
+    Attributes:
+        ended: Set when it has ended.
+        is_whole: It was not cancelled with the write that began it: the others need no other one.
+    """
+
+    def __init__(self) -> None:
+        self.ended = anyio.Event()
+        self.is_whole = False
+
+
 class ShownStops:
     """The stops that latched drives show, which some writes to them depend on.
 
@@ -117,7 +130,7 @@ class ShownStops:
         self._store = store
         self._leases = leases
         self._kinds = kinds
-        self._looks: dict[str, anyio.Event] = {}  # by drive whose stops are being read
+        self._looks: dict[str, Look] = {}  # by drive whose stops are being read
 
     async def see(self, target: str, code: Code, value: Decimal | int | str | None = None) -> None:
         """Have latched drives show their stops, where a write depends on them (`held`).
@@ -144,17 +157,19 @@ class ShownStops:
 
     async def _see(self, station: Station) -> None:
         # A client that sends many setpoints must not keep its own enable from the line.
-        if (under_way := self._looks.get(station.name)) is not None:
-            await under_way.wait()
-            return
-        looked = self._looks[station.name] = anyio.Event()
+        while (under_way := self._looks.get(station.name)) is not None:
+            await under_way.ended.wait()
+            if under_way.is_whole:
+                return
+        look = self._looks[station.name] = Look()
         try:
             # What cannot be read is not shown: the write is refused then, with the reason.
             with contextlib.suppress(ExchangeError, LineError, OperationError, ScheduleError):
                 await self._requests.read_known(station, held_stop_codes(station.family))
+            look.is_whole = True
         finally:
             del self._looks[station.name]
-            looked.set()
+            look.ended.set()
 
     def held(self, drive: str) -> frozenset[StopAction]:
         """Return the stops of the line that a drive has shown within `SHOWN_WITHIN_S`.
