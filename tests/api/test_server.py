@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import os
+import re
 import socket
 import stat
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+import threading
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import ExitStack, asynccontextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import anyio
 import httpx2
 import pytest
 
-from lecombus.api import Served, serve
+from lecombus.api import Served, serve, server
 from lecombus.errors import OperationError
 from lecombus.operations.actions import ACTOR, Actor
 from lecombus.operations.operation_reports import WriteReport
@@ -41,6 +47,29 @@ async def serving(
 def over_unix(path: Path) -> httpx2.AsyncClient:
     transport = httpx2.AsyncHTTPTransport(uds=str(path))
     return httpx2.AsyncClient(transport=transport, base_url="http://lecombus")
+
+
+def own_name() -> str:
+    return Path("/proc/self/comm").read_text().strip()
+
+
+def together(call: Callable[..., Any], both: threading.Barrier, *, after: bool) -> Any:
+    """Have threads meet before or after a call, as far as they can come that far together."""
+
+    def slow(*args: Any) -> Any:
+        found = call(*args) if after else None
+        with suppress(threading.BrokenBarrierError):
+            both.wait(0.5)
+        return found if after else call(*args)
+
+    return slow
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    for _ in range(1000):
+        if condition():
+            return
+        time.sleep(0.01)
 
 
 def over_tcp(served: Served) -> httpx2.AsyncClient:
@@ -141,10 +170,110 @@ async def test_a_stale_socket_is_replaced(line: Line, tmp_path: Path) -> None:
 async def test_a_socket_that_is_served_is_left_alone(line: Line, tmp_path: Path) -> None:
     path = tmp_path / "s"
     async with serving(line, path, None), over_unix(path) as client:
-        with pytest.raises(OperationError, match="another lecombus serves") as caught:
+        holder = re.escape(f"{path} is served by {own_name()} (pid {os.getpid()})")
+        with pytest.raises(OperationError, match=holder) as caught:
             await serve(line.app, path)
         assert caught.value.kind == "socket-in-use"
         assert (await client.get("/healthz")).status_code == 200
+
+
+@pytest.mark.parametrize("is_stale", [True, False])
+def test_of_two_that_start_together_one_serves_and_the_other_names_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_stale: bool
+) -> None:
+    """Both are about to look, or have found the socket of a dead process."""
+    path, both = tmp_path / "s", threading.Barrier(2)
+    if is_stale:
+        with socket.socket(socket.AF_UNIX) as dead:
+            dead.bind(str(path))
+    name = "listener_at" if is_stale else "remove_stale"
+    slow = together(getattr(server, name), both, after=is_stale)
+    monkeypatch.setattr(server, name, slow)
+    refused: list[OperationError] = []
+    serving, ends = [], threading.Event()
+
+    def start() -> None:
+        try:
+            with server.unix_socket(path) as listening:
+                serving.append(listening)
+                ends.wait(10)
+        except OperationError as exc:
+            refused.append(exc)
+
+    threads = [threading.Thread(target=start) for _ in range(2)]
+    for one in threads:
+        one.start()
+    wait_until(lambda: len(refused) + len(serving) == 2)
+    try:
+        assert (len(serving), len(refused)) == (1, 1)
+        assert refused[0].kind == "socket-in-use"
+        assert f"{path} is served by {own_name()} (pid {os.getpid()})" in str(refused[0])
+        with socket.socket(socket.AF_UNIX) as client:
+            client.connect(str(path))
+            accepted, _ = serving[0].accept()
+            accepted.close()
+    finally:
+        ends.set()
+        for one in threads:
+            one.join()
+    assert not path.exists()
+
+
+def test_the_end_of_one_does_not_remove_the_socket_of_its_successor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, ends, starts = tmp_path / "s", threading.Event(), threading.Event()
+    is_ours = server.is_ours
+
+    def slow(*args: Any) -> bool:
+        found = is_ours(*args)
+        ends.set()
+        starts.wait(0.5)
+        return found
+
+    monkeypatch.setattr(server, "is_ours", slow)
+    with ExitStack() as first, ExitStack() as second:
+        first.enter_context(server.unix_socket(path))
+        ending = threading.Thread(target=first.close)
+        ending.start()
+        try:
+            assert ends.wait(10)
+            second.enter_context(server.unix_socket(path))
+        finally:
+            starts.set()
+            ending.join()
+        with socket.socket(socket.AF_UNIX) as client:
+            client.connect(str(path))
+
+
+def test_a_socket_that_may_not_be_removed_is_an_error_with_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "s"
+    with socket.socket(socket.AF_UNIX) as dead:
+        dead.bind(str(path))
+
+    def refuse(self: Path, missing_ok: bool = False) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(Path, "unlink", refuse)
+    found = re.escape(f"cannot listen on {path}: Operation not permitted")
+    with pytest.raises(OperationError, match=found), server.unix_socket(path):
+        pass
+
+
+def test_a_folder_that_another_keeps_locked_is_an_error_with_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "LOCK_S", 0.05)
+    descriptor = os.open(tmp_path, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        found = f"another process keeps {tmp_path} locked"
+        with pytest.raises(OperationError, match=re.escape(found)):
+            server.unix_socket(tmp_path / "s").__enter__()
+    finally:
+        os.close(descriptor)
 
 
 async def test_a_file_that_is_no_socket_is_left_alone(line: Line, tmp_path: Path) -> None:

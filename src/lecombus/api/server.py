@@ -3,7 +3,8 @@
 Strategy: both are uvicorn servers inside the caller's task, without signal handlers and access
 log. The sockets are made here, because their rules matter more than uvicorn's defaults: the Unix
 socket is open to its owner and group only, a stale file is removed only if no process listens on
-it, and it is removed at the end; TCP binds to loopback only, unless there are tokens and TLS.
+it, and it is removed at the end, each under a lock, so that two daemons that start or end together
+do not remove each other's; TCP binds to loopback only, unless there are tokens and TLS.
 Without tokens it answers reads. `access`, `token_access` and `limits` decide what is let
 through to the application, `connection` what a connection may do.
 """
@@ -12,13 +13,14 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import fcntl
 import grp
 import os
 import socket
 import stat
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -30,7 +32,7 @@ from starlette.types import ASGIApp
 
 from lecombus.api.access import OwnPagesAccess, ReadOnlyAccess
 from lecombus.api.answers import dated
-from lecombus.api.connection import HttpConnection, StartQueue
+from lecombus.api.connection import CREDENTIALS, HttpConnection, StartQueue
 from lecombus.api.limits import (
     ACCEPT_AT_ONCE,
     TCP_LIMIT,
@@ -49,6 +51,7 @@ from lecombus.api.tls_connection import TlsConnection
 from lecombus.api.token_access import AllowedHosts, FailureCount, TokenAccess
 from lecombus.api.token_watch import TokenWatch
 from lecombus.errors import OperationError
+from lecombus.operations.actions import Actor
 from lecombus.roster import is_loopback
 
 __all__ = ["Doors", "Served", "serve"]
@@ -57,6 +60,11 @@ SOCKET_MODE: Final = 0o660
 BACKLOG: Final = 128
 TCP_BUFFER_BYTES: Final = 32 * 1024
 """What the kernel keeps of a TCP connection that is not read; it takes twice that."""
+
+LOCK_S: Final = 5.0
+"""How long another daemon may take to make or remove its socket in the same folder."""
+
+LOCK_LOOK_S: Final = 0.02
 
 CLOSE_S: Final = 3
 """How long requests under way may take to end when the server closes."""
@@ -265,7 +273,26 @@ def unix_socket(path: Path, group: str = "") -> Iterator[socket.socket]:
     Raises:
         OperationError: It cannot be made, or another process listens on it.
     """
-    remove_stale(path)
+    with locked_folder(path, LOCK_S):
+        remove_stale(path)
+        listening = bound_socket(path, group)
+        ours = path.stat()
+    try:
+        yield listening
+    finally:
+        listening.close()
+        # A daemon that starts now removes what this one leaves behind: no need to wait for it.
+        with suppress(OperationError), locked_folder(path, 0.0):
+            if is_ours(path, ours):
+                path.unlink(missing_ok=True)
+
+
+def bound_socket(path: Path, group: str) -> socket.socket:
+    """Return a Unix socket that listens, with mode 0660.
+
+    Raises:
+        OperationError: It cannot be made.
+    """
     listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     # Another group: not even the group of the process may open it before it has that group.
     before = os.umask(0o777 & ~(SOCKET_MODE & 0o600 if group else SOCKET_MODE))
@@ -284,12 +311,52 @@ def unix_socket(path: Path, group: str = "") -> Iterator[socket.socket]:
         raise
     finally:
         os.umask(before)
-    ours = path.stat()
+    return listening
+
+
+@contextmanager
+def locked_folder(path: Path, wait_s: float) -> Iterator[None]:
+    """Keep other daemons from making or removing sockets beside a path.
+
+    The folder itself is locked: a file for the lock would be left behind, for its removal has the
+    race that the lock shall end. A folder that cannot be locked is used without.
+
+    Args:
+        path: The socket's.
+        wait_s: How long to wait for another daemon, seconds.
+
+    Raises:
+        OperationError: Another process keeps it locked.
+    """
     try:
-        yield listening
+        descriptor = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    except OSError:  # it is not there, or may not be read: `bind` says what is wrong
+        yield
+        return
+    try:
+        wait_for_lock(descriptor, path, time.monotonic() + wait_s)
+        yield
     finally:
-        listening.close()
-        remove_ours(path, ours)
+        os.close(descriptor)
+
+
+def wait_for_lock(descriptor: int, path: Path, until_s: float) -> None:
+    """Lock a folder until its descriptor is closed; see `locked_folder`."""
+    while True:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() >= until_s:
+                raise OperationError(
+                    f"cannot listen on {path}: another process keeps {path.parent} locked",
+                    kind="cannot-listen",
+                    remedy="end it (`lslocks` shows it), or name another folder by `api.socket`",
+                ) from None
+            time.sleep(LOCK_LOOK_S)
+        except OSError:  # some network file systems lock no folders
+            return
+        else:
+            return
 
 
 def give_to_group(path: Path, group: str) -> None:
@@ -336,30 +403,41 @@ def remove_stale(path: Path) -> None:
             kind="cannot-listen",
             remedy="remove it, or give the API another socket in the roster",
         )
-    if has_listener(path):
+    if (holder := listener_at(path)) is not None:
         raise OperationError(
-            f"another lecombus serves {path}",
+            f"{path} is served by {holder}",
             kind="socket-in-use",
-            remedy="one daemon per line: stop the other one, or give this one another socket",
+            remedy="one daemon per line: stop that one, or give this one another socket",
         )
-    path.unlink(missing_ok=True)
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as exc:
+        raise cannot_listen(str(path), exc, "remove it: no process listens on it") from exc
 
 
-def has_listener(path: Path) -> bool:
-    """Return whether a process listens on a socket."""
+def listener_at(path: Path) -> str | None:
+    """Return what to call the process that listens on a socket; None: there is none."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        probe.setblocking(False)  # a full backlog answers EAGAIN: it has a listener
-        return probe.connect_ex(str(path)) not in (errno.ECONNREFUSED, errno.ENOENT)
+        probe.setblocking(False)
+        found = probe.connect_ex(str(path))
+        if found in (errno.ECONNREFUSED, errno.ENOENT):
+            return None
+        if found:  # such as a full backlog, or another user's socket
+            return "another process"
+        said = probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size)
+    pid, uid, _ = CREDENTIALS.unpack(said)
+    if not pid:
+        return "a process in another container"
+    return f"{Actor('socket', uid, pid).find_process()} (pid {pid})"
 
 
-def remove_ours(path: Path, ours: os.stat_result) -> None:
-    """Remove our socket's file, unless another has taken its place."""
+def is_ours(path: Path, ours: os.stat_result) -> bool:
+    """Whether a socket's file is still ours, and no other has taken its place."""
     try:
         found = path.lstat()
     except FileNotFoundError:
-        return
-    if (found.st_dev, found.st_ino) == (ours.st_dev, ours.st_ino):
-        path.unlink(missing_ok=True)
+        return False
+    return (found.st_dev, found.st_ino) == (ours.st_dev, ours.st_ino)
 
 
 @contextmanager
