@@ -330,7 +330,7 @@ def test_a_setpoint_that_is_cancelled_while_it_reads_the_stops_does_not_refuse_t
                 for scope in scopes[:cancelled]:
                     await anyio.sleep(0.02)
                     scope.cancel()
-            assert ended == {value: "" for value in range(cancelled, len(scopes))}
+            assert ended == dict.fromkeys(range(cancelled, len(scopes)), "")
             asked = list(plant.line["a"].log)[before:]
             assert 1 <= sum(one.kind == "read" and one.code == 1 for one in asked) <= 2 + cancelled
             client.alive = False
