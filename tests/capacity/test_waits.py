@@ -177,6 +177,29 @@ def test_reads_of_one_code_in_one_form_wait_for_the_end_of_a_doubt() -> None:
     assert one.wait("cyclic").quiet_s == pytest.approx(LATENESS_S)
 
 
+@pytest.mark.parametrize("time", ["", "20s"])
+def test_a_slot_may_be_late_behind_its_own_lost_answer(time: str) -> None:
+    """At 1200 baud an answer is given up after more than a period of 0.2 s."""
+    roster = line_of(
+        1, time=time, baud=1200, cyclic="cyclic: [{code: C0150, every: 200ms}]", only="820x"
+    )
+    run, now_s, late_s, lost = Run(roster, 0), 0.0, 0.0, False
+    times = read_times(roster.drives[0], Code(150), run.timing)
+    while now_s < 5.0:
+        request = run.schedule.next(now_s)
+        if request is None:
+            now_s = run.schedule.wake_at_s(now_s) or 5.0
+            continue
+        late_s = max(late_s, now_s - request.submitted_at_s)
+        is_lost = not lost and now_s > 2.0
+        lost = lost or is_lost
+        end_s = now_s + (times.worst_s if is_lost else request.cost_s)
+        run.schedule.finished(request, now_s, end_s, not is_lost)
+        request.end(Outcome.UNKNOWN if is_lost else Outcome.DONE)
+        now_s = end_s
+    assert 0.1 < late_s <= make_plan(roster).wait("cyclic").quiet_s
+
+
 def test_a_stop_waits_for_feeds_that_there_is_never_time_for() -> None:
     """Found by proof seed 499: two drives, and one of them answers as late as its watchdog."""
     roster = line_of(2, time="500ms", baud=19200)

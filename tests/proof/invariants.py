@@ -160,6 +160,7 @@ class Invariants:
         self.wire.ended(report)
         self.shown.ended(report)
         telegrams = self._telegrams.ended(report)
+        self.promises.ended(report)
         if self.leases is not None:
             self.leases.ended(report)
         if telegrams is not None:
@@ -170,7 +171,6 @@ class Invariants:
                 self.shown.judge(telegrams[1])
             self._stops.reported(report)
             self.watchdogs.ended(report)
-            self.promises.ended(report)
             self.turns.ended(report)
 
     def _taken(self, request: Request) -> Callable[[Outcome], None]:

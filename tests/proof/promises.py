@@ -3,9 +3,15 @@
 What is promised to whom depends on who else asks. On a `quiet` line one client asks for one thing
 at a time: every class is held to `begins within`. On a `loaded` line the lower classes are full:
 control is held to `under load`, and where no crowd asks in its own class, interactive and cyclic
-are, too; what clients ask meanwhile comes on top of a slot's lateness. The good values of a
-cyclic code are no further apart than its period, reached and kept early for a feed, the lateness of
-its slot and the time of an answer.
+are, too; what clients ask meanwhile comes on top of a slot's lateness, and what the line has not
+yet made up for of what they asked before: slots that were due then go first. It makes up for that
+with the share of its time that reads and feeds leave. The good values of a cyclic code are no
+further apart than its period, reached and kept early for a feed, the lateness of its slot and the
+time of an answer.
+
+A plan counts the millisecond that an adapter adds in its low latency mode. Waits behind reads and
+feeds of many drives, of cyclic slots and of background, grow with each exchange, so where the
+adapter of a line adds more they are held to the plan of a line that counts it.
 
 Watched drives are fed within nine tenths of their times wherever all drives answer and the adapter
 adds no more than a millisecond; what others add comes off the last tenth, which is there for that.
@@ -17,9 +23,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 from lecombus.capacity.exchange_costs import read_times, watched_s
 from lecombus.capacity.plan import Promises as LinePromises
+from lecombus.capacity.plan import make_promises
+from lecombus.capacity.work_ahead import LOW_LATENCY_S
 from lecombus.config import line_timing
 from lecombus.drives import family
 from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
@@ -46,6 +55,7 @@ OWN = {name: f"{name} itself" for name in QUIET.values()}
 SAID = {"gap": "was not read for", "feed": "was not fed for"} | {
     row: f"was spoken to, {name}, and it took" for name, row in OWN.items()
 }
+SUMS = (Priority.CYCLIC, Priority.BACKGROUND)
 UNCROWDED = LOADED | {Priority.INTERACTIVE: "interactive", Priority.CYCLIC: "cyclic"}
 
 
@@ -64,12 +74,16 @@ class Promises:
     ) -> None:
         self._say = say
         self._sim = sim
+        self._begun = False
         quiet = line.kind == "quiet"
         self._judged = quiet or line.kind == "loaded"
         classes = QUIET if quiet else LOADED if line.is_crowded else UNCROWDED
         if line.is_saturated:
             classes = {}
-        waits = {which: plan.wait(name) for which, name in classes.items()}
+        slowed = _slowed(line, plan)
+        waits = {
+            which: (slowed if which in SUMS else plan).wait(name) for which, name in classes.items()
+        }
         self._waits = {
             which: (wait.name, wait.quiet_s if quiet else wait.loaded_s)
             for which, wait in waits.items()
@@ -77,13 +91,14 @@ class Promises:
         self._own_s = {wait.name: wait.own_s for wait in waits.values()}
         self._promised_for = OWN_WORK if quiet else OWN_WORK | {Priority.BACKGROUND}
         self._asked: list[tuple[float, float]] = []
+        self._spare = max(1.0 - slowed.load.total, 0.0)
         self._pause_s = line.roster.line.turnaround_s
         self._slots = {
             (drive.name, entry.code) for drive in line.roster.drives for entry in drive.cyclic
         }
         self._gaps: dict[tuple[str, Code], float] = {}
         if Priority.CYCLIC in self._waits:
-            self._promise_gaps(line, plan, self._waits[Priority.CYCLIC][1])
+            self._promise_gaps(line, slowed, self._waits[Priority.CYCLIC][1])
         self._good: dict[tuple[str, Code], float] = {}
         part = HARD_PART if line.adapter_s <= QUICK_ADAPTER_S else 1.0
         self._guards = {
@@ -111,6 +126,7 @@ class Promises:
         """Judge from here on; what the daemon itself asks in idle time goes before clients'."""
         if not settled:
             self._waits.pop(Priority.BACKGROUND, None)
+        self._begun = True
         if self._judged:
             self._good = dict.fromkeys(self._gaps, now_s)
             self._fed = {self._sim[name].address: now_s for name, _ in self._guards.values()}
@@ -130,6 +146,8 @@ class Promises:
             is_write = report.step.kind is StepKind.WRITE
             hold_s = self._holds_s.get(report.drive, 0.0) if is_write else 0.0
             self._asked.append((report.result.ended_s + hold_s, report.result.started_s))
+        if not self._begun:
+            return
         if name:
             # On a quiet line only status words after a command go before background.
             if name in ("cyclic", "background") and report.waited_s > promised_s:
@@ -163,12 +181,28 @@ class Promises:
         self._judge("gap", drive, at_s - since_s, promised_s)
 
     def _asked_s(self, since_s: float) -> float:
-        """Tell how much of the line went to what clients asked for since a time."""
-        return sum(
-            ended_s - started_s + self._pause_s
-            for ended_s, started_s in self._asked
-            if ended_s > since_s
-        )
+        """Tell how much of the line went to what clients asked for since a time.
+
+        What they asked before counts as far as the line has not made up for it until then.
+        """
+        behind_s, since_then_s, last_s = 0.0, 0.0, -math.inf
+        for ended_s, started_s in self._asked:
+            took_s = ended_s - started_s + self._pause_s
+            if ended_s > since_s:
+                since_then_s += took_s
+            else:
+                behind_s = self._made_up_s(behind_s, started_s - last_s) + took_s
+                last_s = started_s
+        return self._made_up_s(behind_s, since_s - last_s) + since_then_s
+
+    def _made_up_s(self, behind_s: float, time_s: float) -> float:
+        """Tell how much of what clients asked still keeps slots waiting after a time.
+
+        A line that reads and feeds fill makes up for nothing: it stretches its periods instead.
+        """
+        if not behind_s or not self._spare:
+            return 0.0
+        return max(behind_s - self._spare * time_s, 0.0)
 
     def drives_heard(self, at_s: float, address: int) -> None:
         """A drive has heard a telegram: it is fed."""
@@ -193,3 +227,13 @@ class Promises:
         for address, since_s in self._fed.items():
             name, within_s = self._guards[address]
             self._judge("feed", name, now_s - since_s, within_s)
+
+
+def _slowed(line: RandomLine, plan: LinePromises) -> LinePromises:
+    """Give the plan of a line whose adapter adds to each answer what this line's does."""
+    more_s = line.adapter_s - LOW_LATENCY_S
+    if more_s <= 0.0:
+        return plan
+    timing = line_timing(line.roster.line)
+    timing = replace(timing, turnaround_s=timing.turnaround_s + more_s)
+    return make_promises(line.roster, timing)

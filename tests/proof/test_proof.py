@@ -16,7 +16,10 @@ from proof.mutants import MUTANTS, mutated
 from proof.world import FELL, Finding, run_line
 
 LINES = range(200)
-QUICK = (*range(80), 87, 146, 189, 215, 500, 548, 567, 4076)
+QUICK = (
+    *range(80), 87, 146, 189, 215, 500, 548, 567, 4076,
+    54388, 55360, 55904, 63000, 63180, 65280,
+)  # fmt: skip
 """Lines that are run each time: of all kinds, and those that have shown a defect."""
 LENGTH_S = 60.0
 HOURS = 3.5

@@ -293,9 +293,15 @@ def _lateness(ahead: WorkAhead, blocking: Sequence[Blocking], share: float) -> f
     for one in blocking:
         # The slot that is last costs itself nothing; it is another than the one under way.
         last_s = costs_s[1:2] if one.saved_s == costs_s[0] else costs_s[:1]
+        # Without an answer a slot may take longer than its period: its own next one is late then.
+        once_s = one.worst_s - one.every_s
         if last_s:
-            once_s = one.worst_s - one.saved_s + sum(costs_s) - last_s[0] + overrun_s
-            once_s = max(once_s, one.worst_s + _put_off_s(ahead))
+            once_s = max(
+                once_s,
+                one.worst_s - one.saved_s + sum(costs_s) - last_s[0] + overrun_s,
+                one.worst_s + _put_off_s(ahead),
+            )
+        if once_s > 0.0:
             found_s = max(found_s, response_s(0.0, once_s / (1.0 - share), slower))
     return found_s
 

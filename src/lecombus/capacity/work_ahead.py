@@ -85,10 +85,12 @@ class Blocking:
         worst_s: How long it holds the line when it is not answered, seconds.
         saved_s: So much less is due behind it: nothing where it must be repeated because a
             watchdog asks for it, seconds.
+        every_s: It is due again after that, seconds; infinite: a feed.
     """
 
     worst_s: float
     saved_s: float
+    every_s: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -348,13 +350,13 @@ def _one_form(roster: Roster, timing: LineTiming) -> Iterable[tuple[Stream, ...]
 
 def _blocking(roster: Roster, timing: LineTiming) -> Iterator[Blocking]:
     for drive in roster.drives:
-        codes = [entry.code for entry in drive.cyclic]
+        codes = [(entry.code, entry.every_s) for entry in drive.cyclic]
         time_s = watched_s(drive)
         if time_s is not None and _needs_feeds(drive, time_s):
-            codes.append(family(drive.family).feed_code)
-        for code in codes:
+            codes.append((family(drive.family).feed_code, math.inf))
+        for code, every_s in codes:
             saved_s = _read_s(drive, code, timing) if time_s is None else 0.0
-            yield Blocking(read_times(drive, code, timing).worst_s, saved_s)
+            yield Blocking(read_times(drive, code, timing).worst_s, saved_s, every_s)
 
 
 def _feed_s(drive: DriveEntry, timing: LineTiming) -> float:
