@@ -48,6 +48,7 @@ from lecombus.errors import LecombusError, LineClosedError, OperationError
 from lecombus.fieldbus.port import PortOpener
 from lecombus.fieldbus.protocols import find
 from lecombus.journal.journal import Journal
+from lecombus.journal.journal_file import JournalFileError
 from lecombus.journal.kept import KeyRow
 from lecombus.line.devices import others_at
 from lecombus.line.event_loop import run as run_loop
@@ -166,7 +167,7 @@ class Daemon:
         self._progress_at_s = 0.0
         self._ended_by = "an error"
         self._record: JournalRecord | None = None
-        self._kept_keys: Sequence[KeyRow] = ()
+        self._kept_keys: Sequence[KeyRow] | None = ()
         self.runtime: LineRuntime | None = None
 
     async def main(self) -> None:
@@ -210,7 +211,11 @@ class Daemon:
         )  # fmt: skip
         if journal is not None:
             await self._record_in(journal, runtime)
-            self._kept_keys = await journal.keys()
+            try:
+                self._kept_keys = await journal.keys()
+            except JournalFileError as exc:
+                self._kept_keys = None
+                logger.warning("event=keys-not-kept reason=%s", exc)
         async with anyio.create_task_group() as line:
             async with anyio.create_task_group() as faces:
                 faces.start_soon(self._watch_signals, faces)

@@ -20,7 +20,7 @@ from lecombus.drives import StopAction
 from lecombus.errors import CodeValueError, NoReplyError, OperationError, QueueFullError
 from lecombus.journal.journal import Journal
 from lecombus.journal.journal_file import JournalFileError
-from lecombus.journal.kept import KeyRow
+from lecombus.journal.kept import NOT_KNOWN, KeyRow
 from lecombus.operations.operation_reports import WriteReport
 from lecombus.schedule.request import Outcome, Priority
 from openapi.answer_models import GroupOutcomeDocument, OutcomeDocument, ReloadDocument
@@ -571,6 +571,12 @@ class KeptKeys:
         self.rows: dict[str, KeyRow] = {}
         self.events: list[str] = []
         self.fails = False
+        self.cannot_be_read = ""
+
+    async def keys(self) -> list[KeyRow]:
+        if self.cannot_be_read:
+            raise JournalFileError(self.cannot_be_read)
+        return list(self.rows.values())
 
     def keep(self, row: KeyRow) -> None:
         self.events.append(f"keep {row.status}" if row.content else "forget")
@@ -724,6 +730,36 @@ async def test_a_refusal_is_known_after_a_restart() -> None:
     again = await later.run(keyed("k"), b"x", act)
     assert (again.status_code, again.body) == (409, first.body)
     assert again.media_type == "application/problem+json"
+
+
+async def test_keys_that_could_not_be_read_at_the_start_are_read_before_the_next_request() -> None:
+    kept = KeptKeys()
+    first = await Idempotency(lambda: 0.0, cast(Journal, kept)).run(keyed("k"), b"x", enable)
+    kept.events.clear()
+    kept.cannot_be_read = "it is in use by another program"
+    later = Idempotency(lambda: 5.0, cast(Journal, kept), None)
+
+    async def refuse() -> Response:  # as the record of the journal does
+        raise OperationError(NOT_KNOWN.get(), kind="journal-failing", remedy="see to its disk")
+
+    async def never() -> Response:
+        raise AssertionError
+
+    with pytest.raises(OperationError, match="in use by another program"):
+        await later.run(keyed("k"), b"x", refuse)
+    assert kept.events == [], "the answer of the run before stays in the file"
+    assert (await later.run(keyed("new"), b"y", enable)).status_code == 200
+    kept.cannot_be_read = ""
+    again = await later.run(keyed("k"), b"x", never)
+    assert (again.status_code, again.body) == (200, first.body)
+    assert (await later.run(keyed("new"), b"y", never)).status_code == 200
+    assert NOT_KNOWN.get() == ""
+    with pytest.raises(RefusedRequestError, match="another request"):
+        await later.run(keyed("k"), b"z", never)
+
+
+async def enable() -> Response:
+    return Response('{"outcome": "verified"}', 200, media_type="application/json")
 
 
 async def test_kept_keys_are_forgotten_with_those_in_memory() -> None:

@@ -13,7 +13,7 @@ from lecombus.drives import StopAction, Verb
 from lecombus.errors import OperationError
 from lecombus.journal.chain import Row
 from lecombus.journal.journal_file import JournalFileError
-from lecombus.journal.kept import Fact
+from lecombus.journal.kept import NOT_KNOWN, Fact
 from lecombus.operations.actions import ACTOR, Actor
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome
@@ -117,10 +117,18 @@ def test_a_stop_is_recorded_and_waits_for_nothing() -> None:
     with_record(test)
 
 
+@pytest.mark.parametrize("keys_known", [True, False])
 @pytest.mark.parametrize("refuses", [True, False])
-def test_while_the_journal_fails_writes_are_refused_if_the_roster_says_so(refuses: bool) -> None:
+def test_while_the_journal_fails_writes_are_refused_if_the_roster_says_so(
+    refuses: bool, keys_known: bool
+) -> None:
+    """The same for a request whose key could not be looked up, though the journal works by now."""
+
     async def test(plant: Plant, kept: Kept, record: JournalRecord) -> None:
-        kept.trouble = "there is no room"
+        if keys_known:
+            kept.trouble = "there is no room"
+        else:
+            NOT_KNOWN.set("there is no room")
         if not refuses:
             assert (await plant.site.operations.write("a", Code(46), 20)).outcome is Outcome.DONE
             return

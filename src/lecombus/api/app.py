@@ -50,7 +50,7 @@ def create_app(
     baud: int = 9600,
     read_only: bool = False,
     journal: Journal | None = None,
-    kept_keys: Sequence[KeyRow] = (),
+    kept_keys: Sequence[KeyRow] | None = (),
     version: str = "",
     clock: Callable[[], float] = time.monotonic,
 ) -> Starlette:
@@ -70,7 +70,7 @@ def create_app(
         baud: Its baud rate, bit/s.
         read_only: Whether all but reads and stops are refused.
         journal: The journal; None: there is none.
-        kept_keys: What it keeps of requests of the run before.
+        kept_keys: What it keeps of requests of the run before; None: that cannot be read yet.
         version: lecombus' version, for the OpenAPI document.
         clock: A monotonic clock for idempotency keys, seconds.
     """

@@ -20,7 +20,9 @@ Memory is bounded: `KEY_LIMIT` keys for `KEEP_S` seconds, the oldest finished on
 Where there is a journal, keys and responses are kept in it too: a key before its request is carried
 out, its response before that is sent. So a repeat is answered after a restart of lecombus as well;
 where the first request was under way at its end, by `unknown`. They are kept for `KEEP_S` seconds
-from the restart on: how long lecombus was away is not known for certain.
+from the restart on: how long lecombus was away is not known for certain. Where they could not be
+read at the start, they are read once the journal works. Until then a request with a key may have
+been carried out before (`NOT_KNOWN`), and the journal's record refuses what controls a drive.
 """
 
 from __future__ import annotations
@@ -42,7 +44,7 @@ from lecombus.api.error_answers import known_error, unexpected_error
 from lecombus.errors import LecombusError
 from lecombus.journal.journal import Journal
 from lecombus.journal.journal_file import JournalFileError
-from lecombus.journal.kept import KeyRow
+from lecombus.journal.kept import NOT_KNOWN, KeyRow
 from lecombus.operations.awaited_requests import CAME_S
 from lecombus.schedule.request import Outcome
 
@@ -97,19 +99,20 @@ class Idempotency:
     Args:
         clock: A monotonic clock, seconds.
         journal: Keeps them across restarts; None: nothing does.
-        kept: Those of the run before.
+        kept: Those of the run before; None: the journal could not be read yet.
     """
 
     def __init__(
         self,
         clock: Callable[[], float],
         journal: Journal | None = None,
-        kept: Sequence[KeyRow] = (),
+        kept: Sequence[KeyRow] | None = (),
     ) -> None:
         self._clock = clock
         self._started_s = clock()
         self._journal = journal
-        self._entries = {row.name: entry_of(row, self._started_s) for row in kept}
+        self._knows_former = kept is not None
+        self._entries = {row.name: entry_of(row, self._started_s) for row in kept or ()}
 
     def __len__(self) -> int:
         """Return how many keys are remembered."""
@@ -136,6 +139,7 @@ class Idempotency:
         check_keys(keys)
         key = keys[0]
         content = content_of(request, body)
+        NOT_KNOWN.set(await self._why_not_known())
         while (entry := self._entries.get(key)) is not None and self._is_current(entry):
             if entry.content != content:
                 raise reused(key)
@@ -144,6 +148,20 @@ class Idempotency:
                 return entry.response
         self._go_back(ago_s)
         return await self._first(request, key, content, lambda: answer_of(request, act))
+
+    async def _why_not_known(self) -> str:
+        """Read the keys of the run before, if need be; returns why that cannot be done yet."""
+        if self._knows_former or self._journal is None:
+            return ""
+        try:
+            rows = await self._journal.keys()
+        except JournalFileError as exc:
+            return str(exc)
+        if not self._knows_former:
+            former = {row.name: entry_of(row, self._started_s) for row in rows}
+            self._entries = {**former, **self._entries}
+            self._knows_former = True
+        return ""
 
     def _go_back(self, ago_s: float) -> None:
         """Let a repeat count as asked for when it was asked for first.
@@ -173,7 +191,7 @@ class Idempotency:
         self._entries.pop(key, None)  # so that keys stand in the order of their age
         self._make_room()
         entry = self._entries[key] = Entry(content, self._clock())
-        if self._journal is not None:
+        if self._journal is not None and not NOT_KNOWN.get():
             self._journal.keep(KeyRow(key, content))
         later = False
         try:
@@ -193,7 +211,8 @@ class Idempotency:
         finally:
             if later:
                 entry.response = None
-                self._forget(key)
+                if not NOT_KNOWN.get():  # else the file may have its answer of the run before
+                    self._forget(key)
                 if self._entries.get(key) is entry:
                     del self._entries[key]
             elif entry.response is None:  # cancelled: what was sent by then is not known

@@ -269,14 +269,19 @@ class Journal:
         return await self._ask(lambda db: reading.last_rows(db, drives=drives, most=most))
 
     async def keys(self) -> list[KeyRow]:
-        """Return the requests with an `Idempotency-Key` that are kept; none while it fails."""
+        """Return the requests with an `Idempotency-Key` that are kept.
+
+        Raises:
+            JournalFileError: They cannot be read now.
+        """
+        if self.trouble:
+            raise JournalFileError(self.trouble)
         try:
             return await self._ask(
                 lambda db: [KeyRow(*row) for row in reading.select(db, "SELECT * FROM keys")]
             )
-        except (JournalFileError, TimeoutError) as exc:
-            logger.warning("event=keys-not-kept reason=%s", exc)
-            return []
+        except TimeoutError:
+            raise JournalFileError(f"{self._path} does not answer") from None
 
     async def fact(self, name: str) -> str | None:
         """Return the text kept under a name."""

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from contextvars import ContextVar
 from dataclasses import dataclass
 
 import apsw
 
-__all__ = ["Fact", "KeyRow", "keep"]
+__all__ = ["NOT_KNOWN", "Fact", "KeyRow", "keep"]
+
+NOT_KNOWN: ContextVar[str] = ContextVar("NOT_KNOWN", default="")
+"""Why it is not known whether the request under way was carried out by the run before; empty: it
+is known, or it has no key."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,7 +21,7 @@ from lecombus.errors import OperationError
 from lecombus.journal.chain import Row
 from lecombus.journal.journal import Journal
 from lecombus.journal.journal_file import JournalFileError
-from lecombus.journal.kept import Fact
+from lecombus.journal.kept import NOT_KNOWN, Fact
 from lecombus.operations.actions import ACTOR, Act
 from lecombus.operations.facade import Operations
 
@@ -82,6 +82,8 @@ class JournalRecord:
 
     async def _on_disk(self, intent: Row, act: Act) -> None:
         try:
+            if (why := NOT_KNOWN.get()) and self._refuses and not act.is_setting:
+                raise JournalFileError(why)
             await self._journal.committed(intent)
         except JournalFileError as exc:
             if act.is_setting or not self._refuses:
