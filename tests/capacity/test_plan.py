@@ -157,7 +157,7 @@ def test_the_plan_is_json_with_every_part() -> None:
     found = json.loads(json.dumps(make_plan(line_of(3)).as_json(), allow_nan=False))
     assert set(found) == {
         *("line", "baud", "load", "exchanges", "waits", "silent_stop", "watchdogs", "bauds"),
-        *("adapter", "absent", "room"),
+        *("adapter", "absent", "room", "stretch"),
     }  # fmt: skip
     assert [one["name"] for one in found["waits"]] == [
         "stop", "control", "watchdog", "interactive", "cyclic", "background",

@@ -118,7 +118,7 @@ class Promises:
         for drive in line.roster.drives:
             periods = 2.0 if watched_s(drive) else 1.0
             for entry in drive.cyclic:
-                period_s = periods * entry.every_s * plan.load.stretch
+                period_s = periods * entry.every_s * plan.stretch
                 read_s = read_times(drive, entry.code, timing).usual_s + line.adapter_s
                 self._gaps[drive.name, entry.code] = period_s + late_s + read_s
 

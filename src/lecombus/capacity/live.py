@@ -286,7 +286,7 @@ def _codes(
     for drive in roster.drives:
         early = 2.0 if watched_s(drive) else 1.0
         for entry in drive.cyclic:
-            period_s = entry.every_s * plan.load.stretch
+            period_s = entry.every_s * plan.stretch
             longest_s = gaps.get(drive.name, {}).get(str(entry.code))
             read_s = read_times(drive, entry.code, timing).usual_s + timing.adapter_latency_s
             own_s = early * period_s + read_s

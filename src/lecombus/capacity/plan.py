@@ -69,12 +69,14 @@ class Promises:
         waits: How long each class waits at most.
         room: What it takes to make room for an exchange beside the feeds.
         silent_stop: What a stop of a drive that does not answer is promised.
+        stretch: The factor by which cyclic periods grow when the schedule is run.
     """
 
     load: Load
     waits: tuple[ClassWait, ...]
     room: Room
     silent_stop: SilentStop
+    stretch: float
 
     def wait(self, name: str) -> ClassWait:
         """Give the promise to a class, such as `stop`."""
@@ -98,6 +100,8 @@ class LinePlan:
         adapter: The same line with an adapter that is as slow as it may be.
         absent: The same line while drives are away.
         leases: How soon drives that need a lease are stopped.
+        stretch: The factor by which cyclic periods grow when the schedule is run: more than that
+            of the load where feeds that keep room for lost answers take turns with the reads.
     """
 
     line: str
@@ -112,6 +116,7 @@ class LinePlan:
     adapter: AdapterEffect
     absent: tuple[AbsentEffect, ...]
     leases: tuple[LeaseBound, ...] = ()
+    stretch: float = 1.0
 
     def wait(self, name: str) -> ClassWait:
         """Give the promise to a class, such as `stop`."""
@@ -150,7 +155,7 @@ def make_plan(roster: Roster, timing: LineTiming | None = None) -> LinePlan:
         exchanges=tuple(
             exchange
             for drive in roster.drives
-            for exchange in _exchanges(drive, roster, timing, promises.load)
+            for exchange in _exchanges(drive, roster, timing, promises.stretch)
         ),
         waits=promises.waits,
         room=promises.room,
@@ -160,6 +165,7 @@ def make_plan(roster: Roster, timing: LineTiming | None = None) -> LinePlan:
         adapter=adapter_effect(roster, timing),
         absent=tuple(absent_effects(roster, timing)),
         leases=tuple(lease_bounds(roster, timing, promises.wait("stop").loaded_s)),
+        stretch=promises.stretch,
     )
 
 
@@ -173,17 +179,18 @@ def make_promises(roster: Roster, timing: LineTiming | None = None) -> Promises:
         tuple(class_waits(roster, timing, ahead, longest_stop_s)),
         ahead.room,
         silent_stop(roster, timing, ahead),
+        ahead.stretch,
     )
 
 
 def _exchanges(
-    drive: DriveEntry, roster: Roster, timing: LineTiming, load: Load
+    drive: DriveEntry, roster: Roster, timing: LineTiming, stretch: float
 ) -> list[PlannedExchange]:
     attempts = roster.line.retries + 1
     found = []
     for entry in drive.cyclic:
         times = read_times(drive, entry.code, timing)
-        reached_s = entry.every_s * load.stretch
+        reached_s = entry.every_s * stretch
         found.append(
             PlannedExchange(drive.name, str(entry.code), entry.every_s, times,
                             attempts * times.worst_s, reached_s)

@@ -16,7 +16,7 @@ from html import escape
 from typing import Final
 
 from lecombus.capacity.exchange_costs import Times, feed_times, read_times, watched_s
-from lecombus.capacity.load import load_on
+from lecombus.capacity.load import Load, load_on
 from lecombus.capacity.watchdog_demand import faults_of
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.roster import Roster
@@ -32,6 +32,10 @@ LOOKED_AT_S: Final = 20.0
 """Run this long to measure shares of the line: a picture may be too short for a feed."""
 SETTLED_S: Final = 5.0
 """After this the staggering of a start is over."""
+FULL_PART: Final = 0.99
+"""So much of the line is all of it: a line that has more time than that catches up."""
+SHORT_PART: Final = 1.02
+"""Reads that are short of what is asked by less than this are so by where the run was cut off."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +64,7 @@ class Preview:
     Args:
         length_s: How long it is: the hyperperiod of the cyclic reads, within bounds.
         whole_s: That hyperperiod itself, stretched as the reads are; 0: nothing is read cyclically.
-        stretch: By how much the cyclic periods are stretched; 1: not.
+        stretch: By how much the schedule stretches the cyclic periods; 1: not.
         spans: The exchanges, in order.
         deadlines: For each watched drive, when its feed has to be over.
         cyclic: The share of the line that cyclic reads take, also beyond the picture.
@@ -101,15 +105,27 @@ def preview(roster: Roster, timing: LineTiming) -> Preview:
         if time_s is not None:
             make = _maker(drive.name, Priority.WATCHDOG, feed_times(drive, timing), "feed")
             schedule.set_feeding(drive.name, WatchdogFeeding(time_s, make), 0.0)
-    stretch = load_on(roster.drives, timing).stretch
-    whole_s = hyperperiod_s(roster) * stretch
-    length_s = min(max(whole_s, SHORTEST_S), LONGEST_S)
     spans = _run(schedule, SETTLED_S + LOOKED_AT_S)
     run = [_moved(one) for one in spans if one.end_s > SETTLED_S]
+    cyclic, feeding = _share(run, "cyclic"), _share(run, "watchdog")
+    stretch = _reached(load_on(roster.drives, timing), cyclic, feeding)
+    whole_s = hyperperiod_s(roster) * stretch
+    length_s = min(max(whole_s, SHORTEST_S), LONGEST_S)
     return Preview(
         length_s, whole_s, stretch, tuple(one for one in run if one.start_s < length_s),
-        _due(spans, roster, length_s), _share(run, "cyclic"), _share(run, "watchdog"),
+        _due(spans, roster, length_s), cyclic, feeding,
     )  # fmt: skip
+
+
+def _reached(load: Load, cyclic: float, feeding: float) -> float:
+    """Give the factor by which cyclic periods grow, from the shares of the line that were taken.
+
+    Feeds that keep room for lost answers and stops take turns with reads. Where short watchdogs
+    never leave that much room, these feeds go all the time, and take more than must be.
+    """
+    if cyclic + feeding < FULL_PART or load.cyclic < SHORT_PART * cyclic * load.stretch:
+        return load.stretch
+    return load.cyclic / cyclic
 
 
 def _share(spans: list[Span], kind: str) -> float:

@@ -27,6 +27,7 @@ from lecombus.capacity.exchange_costs import (
     write_times,
 )
 from lecombus.capacity.load import load_on
+from lecombus.capacity.timeline import preview
 from lecombus.capacity.watchdog_demand import faults_of
 from lecombus.drives import CodeInfo, family, stop_value
 from lecombus.fieldbus.costs import LineTiming
@@ -144,6 +145,7 @@ class WorkAhead:
         one_form: The cyclic reads of each code that several drives are asked for, in one form
             only: when one of them is lost the others wait until no late answer may come.
         load: The share of the line that reads and feeds take in the long run.
+        stretch: The factor by which cyclic periods grow then.
         room: What it takes to make room for an exchange beside the feeds.
         alone_s: The longest that a drive is left alone after a write, seconds.
     """
@@ -163,6 +165,7 @@ class WorkAhead:
     late_answer_s: float
     one_form: tuple[tuple[Stream, ...], ...]
     load: float
+    stretch: float
     room: Room
     alone_s: float
 
@@ -190,6 +193,7 @@ def work_ahead_on(roster: Roster, timing: LineTiming) -> WorkAhead:
     )
     families = {drive.name: family(drive.family) for drive in drives}
     moves = [one for one in writes if (info := families[one.drive].info(one.code)) and info.motion]
+    stretch = preview(roster, timing).stretch
     everything = (one for found in by_drive for column in found for one in column)
     return WorkAhead(
         own=max([_longest(feeds, own), *_fed(roster, timing)], key=_worst),
@@ -210,7 +214,8 @@ def work_ahead_on(roster: Roster, timing: LineTiming) -> WorkAhead:
         spare_s=feeds.spare_s(),
         late_answer_s=max(roster.line.late_answer_s - timing.quarantine_s, 0.0),
         one_form=tuple(_one_form(roster, timing)),
-        load=load_on(drives, timing).total,
+        load=load_on(drives, timing).total if stretch <= 1.0 else 1.0,
+        stretch=stretch,
         room=_room(feeds),
         alone_s=max((family(drive.family).hold_after_write_s for drive in drives), default=0.0),
     )

@@ -137,7 +137,12 @@ def _show(plan: LinePlan, shown: Preview) -> None:
         f"(cyclic reads {load.cyclic:.0%}, feeds beside them {load.feeding:.0%})"
     )
     if load.stretch > 1.0:
-        click.echo(f"that is too much: every cyclic period is stretched by {load.stretch:.2f}")
+        click.echo(f"that is too much: every cyclic period is stretched by {plan.stretch:.2f}")
+    elif plan.stretch > 1.0:
+        click.echo(
+            "feeds that keep room for lost answers take turns with the reads: every cyclic period "
+            f"is stretched by {plan.stretch:.2f}"
+        )
     click.echo(
         f"run by the schedule: {shown.total:.0%} of it is taken (reads {shown.cyclic:.0%}, feeds "
         f"{shown.feeding:.0%}; a line that has time feeds early)"
