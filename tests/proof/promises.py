@@ -80,7 +80,7 @@ class Promises:
         classes = QUIET if quiet else LOADED if line.is_crowded else UNCROWDED
         if line.is_saturated:
             classes = {}
-        slowed = _slowed(line, plan)
+        slowed = _slowed(line, plan) if self._judged else plan
         waits = {
             which: (slowed if which in SUMS else plan).wait(name) for which, name in classes.items()
         }

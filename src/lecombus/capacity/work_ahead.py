@@ -193,7 +193,8 @@ def work_ahead_on(roster: Roster, timing: LineTiming) -> WorkAhead:
     )
     families = {drive.name: family(drive.family) for drive in drives}
     moves = [one for one in writes if (info := families[one.drive].info(one.code)) and info.motion]
-    stretch = preview(roster, timing).stretch
+    is_read = any(drive.cyclic for drive in drives)
+    stretch = preview(roster, timing).stretch if is_read else 1.0
     everything = (one for found in by_drive for column in found for one in column)
     return WorkAhead(
         own=max([_longest(feeds, own), *_fed(roster, timing)], key=_worst),
