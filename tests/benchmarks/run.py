@@ -56,6 +56,11 @@ Measured by `make bench`: medians of {rounds} rounds (least and most in brackets
 peers in turn in the same run, ratios taken round by round. {date}, {machine}.
 During the run {noise}.
 
+`CPU per exchange` is without pauses: one exchange after the other, each answer in one piece. On a
+paced line the process sleeps between bytes and telegrams, and an exchange takes some 13 times as
+much, 2 to 3 % of a busy computer's core for a full line: why, says
+[ADR 29](adr/0029-processor-time.md#on-a-line-that-takes-its-time).
+
 """
 
 
