@@ -262,18 +262,23 @@ def test_a_socket_that_may_not_be_removed_is_an_error_with_its_name(
         pass
 
 
-def test_a_folder_that_another_keeps_locked_is_an_error_with_its_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_folder_that_another_process_keeps_locked_keeps_no_daemon_from_its_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
+    """Everyone who may read the folder may lock it."""
     monkeypatch.setattr(server, "LOCK_S", 0.05)
-    descriptor = os.open(tmp_path, os.O_RDONLY)
+    path, descriptor = tmp_path / "s", os.open(tmp_path, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)
-        found = f"another process keeps {tmp_path} locked"
-        with pytest.raises(OperationError, match=re.escape(found)):
-            server.unix_socket(tmp_path / "s").__enter__()
+        with server.unix_socket(path), socket.socket(socket.AF_UNIX) as client:
+            client.connect(str(path))
+        assert "event=folder-locked" in caplog.text
+        assert path.exists(), "another may just have found it stale: the next start removes it"
     finally:
         os.close(descriptor)
+    with server.unix_socket(path):
+        pass
+    assert not path.exists()
 
 
 async def test_a_file_that_is_no_socket_is_left_alone(line: Line, tmp_path: Path) -> None:

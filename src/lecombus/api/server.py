@@ -15,12 +15,13 @@ import asyncio
 import errno
 import fcntl
 import grp
+import logging
 import os
 import socket
 import stat
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -56,13 +57,16 @@ from lecombus.roster import is_loopback
 
 __all__ = ["Doors", "Served", "serve"]
 
+logger = logging.getLogger(__name__)
+
 SOCKET_MODE: Final = 0o660
 BACKLOG: Final = 128
 TCP_BUFFER_BYTES: Final = 32 * 1024
 """What the kernel keeps of a TCP connection that is not read; it takes twice that."""
 
-LOCK_S: Final = 5.0
-"""How long another daemon may take to make or remove its socket in the same folder."""
+LOCK_S: Final = 2.0
+"""How long another daemon may take to make or remove its socket in the same folder; it is some
+milliseconds."""
 
 LOCK_LOOK_S: Final = 0.02
 
@@ -273,7 +277,9 @@ def unix_socket(path: Path, group: str = "") -> Iterator[socket.socket]:
     Raises:
         OperationError: It cannot be made, or another process listens on it.
     """
-    with locked_folder(path, LOCK_S):
+    with locked_folder(path, LOCK_S) as locked:
+        if not locked:
+            logger.warning("event=folder-locked folder=%s reason=by another process", path.parent)
         remove_stale(path)
         listening = bound_socket(path, group)
         ours = path.stat()
@@ -282,8 +288,8 @@ def unix_socket(path: Path, group: str = "") -> Iterator[socket.socket]:
     finally:
         listening.close()
         # A daemon that starts now removes what this one leaves behind: no need to wait for it.
-        with suppress(OperationError), locked_folder(path, 0.0):
-            if is_ours(path, ours):
+        with locked_folder(path, 0.0) as locked:
+            if locked and is_ours(path, ours):
                 path.unlink(missing_ok=True)
 
 
@@ -315,48 +321,45 @@ def bound_socket(path: Path, group: str) -> socket.socket:
 
 
 @contextmanager
-def locked_folder(path: Path, wait_s: float) -> Iterator[None]:
+def locked_folder(path: Path, wait_s: float) -> Iterator[bool]:
     """Keep other daemons from making or removing sockets beside a path.
 
     The folder itself is locked: a file for the lock would be left behind, for its removal has the
-    race that the lock shall end. A folder that cannot be locked is used without.
+    race that the lock shall end. Everyone who may read the folder may lock it, so a lock that is
+    held for longer than any daemon does keeps none from its start. A folder that cannot be locked
+    is used without, too.
 
     Args:
         path: The socket's.
         wait_s: How long to wait for another daemon, seconds.
 
-    Raises:
-        OperationError: Another process keeps it locked.
+    Yields:
+        Whether it is locked, or cannot be; not: another process keeps it locked.
     """
     try:
         descriptor = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     except OSError:  # it is not there, or may not be read: `bind` says what is wrong
-        yield
+        yield True
         return
     try:
-        wait_for_lock(descriptor, path, time.monotonic() + wait_s)
-        yield
+        yield is_locked(descriptor, time.monotonic() + wait_s)
     finally:
         os.close(descriptor)
 
 
-def wait_for_lock(descriptor: int, path: Path, until_s: float) -> None:
+def is_locked(descriptor: int, until_s: float) -> bool:
     """Lock a folder until its descriptor is closed; see `locked_folder`."""
     while True:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             if time.monotonic() >= until_s:
-                raise OperationError(
-                    f"cannot listen on {path}: another process keeps {path.parent} locked",
-                    kind="cannot-listen",
-                    remedy="end it (`lslocks` shows it), or name another folder by `api.socket`",
-                ) from None
+                return False
             time.sleep(LOCK_LOOK_S)
         except OSError:  # some network file systems lock no folders
-            return
+            return True
         else:
-            return
+            return True
 
 
 def give_to_group(path: Path, group: str) -> None:
