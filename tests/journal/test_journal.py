@@ -345,6 +345,43 @@ def test_the_head_is_logged_at_the_start_hourly_and_at_the_end(
     assert heads[-1].startswith("2:")
 
 
+def test_no_head_is_logged_of_a_file_that_could_not_be_opened_yet(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would say that the file is empty."""
+    monkeypatch.setattr(module, "RETRY_S", 0.05)
+    caplog.set_level("INFO")
+    path, works, usual = tmp_path / "j", threading.Event(), JournalFile.open
+    works.set()
+
+    def opening(file: JournalFile, now_ms: int) -> None:
+        if not works.is_set():
+            raise JournalFileError("it is in use by another program")
+        usual(file, now_ms)
+
+    monkeypatch.setattr(JournalFile, "open", opening)
+
+    async def begin(journal: Journal) -> None:
+        journal.record("start")
+        journal.keep(KeyRow("k", b"1", 200))
+        await journal.committed(journal.intend("write", "a", {}))
+
+    async def scenario(journal: Journal) -> None:
+        caplog.clear()
+        with pytest.raises(JournalFileError, match="in use by another program"):
+            await journal.keys()
+        await asyncio.sleep(0.3)
+        assert "event=journal-head" not in caplog.text
+        works.set()
+        await until(lambda: "event=journal-head" in caplog.text)
+        assert "event=journal-head head=0:" not in caplog.text
+        assert [one.name for one in await journal.keys()] == ["k"]
+
+    with_journal(path, begin)
+    works.clear()
+    with_journal(path, scenario)
+
+
 def test_the_end_writes_all_that_waits_and_logs_the_last_row(
     tmp_path: Path, disk: Disk, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -348,10 +348,15 @@ class Journal:
             if self.trouble and since_s is None and now_s >= self._try_at_s:
                 self._flush()
             self._record_counted(COUNT_S)
-            if now_s >= head_at_s:
+            if now_s >= head_at_s and self._knows_head:
                 head_at_s = now_s + HEAD_S
                 self.log_head()
             await asyncio.sleep(TICK_S)
+
+    @property
+    def _knows_head(self) -> bool:
+        """Whether the file was open; else its newest row is not known, and none must be logged."""
+        return not self.trouble or self.head.number > 0
 
     def log_head(self) -> None:
         """Log the newest row: with it, `verify` shows whether rows were taken off at the end."""
@@ -366,7 +371,8 @@ class Journal:
                 self._flush()
                 while self._in_flight_since_s is not None:  # each transaction begins the next one
                     await self._idle.wait()
-                self.log_head()
+                if self._knows_head:
+                    self.log_head()
                 await self._thread.ask(self._file.close)
         except TimeoutError:
             logger.warning("event=journal-not-closed file=%s reason=its disk hangs", self._path)
