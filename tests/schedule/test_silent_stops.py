@@ -388,3 +388,22 @@ def test_a_stop_whose_lost_answer_others_do_not_outlast_does_not_go_before_them_
             world.silent = set()
     assert stop.attempts == 4
     assert fired(world, "a") == []
+
+
+@pytest.mark.parametrize("lost", [["b"], ["b", "b"], ["c"], ["c", "c"], ["b", "c"]])
+@pytest.mark.parametrize("after_ms", range(0, 300, 30))
+def test_a_stop_that_was_lost_does_not_go_again_before_a_late_drive_whose_watchdog_can_be_kept(
+    lost: list[str], after_ms: int
+) -> None:
+    world = World().drives("a", "b", "c", "d")
+    world.schedule.expect(LONG_STOP)
+    for name in ("a", "b", "c", "d"):
+        world.feed(name, 1.136, cost_s=0.05, worst_s=0.158)
+    world.saturate(P.INTERACTIVE, ["a", "b", "c", "d"], cost_s=0.04, worst_s=0.145)
+    world.run(2.0 + after_ms / 1000)
+    world.silent = {"a"}
+    stop = world.submit("a", P.STOP, cost_s=0.235, worst_s=0.535)
+    repeat(world, stop, 2)
+    world.step()
+    lose(world, lost, world.now_s + 1.5)
+    assert fired(world) == []

@@ -681,3 +681,42 @@ def test_an_exchange_leaves_room_for_a_stop_behind_its_own_lost_answer() -> None
     assert faults.need_s(0.02, 0.5, lost_s, 0.3) == pytest.approx(0.5), "the last tenth holds it"
     assert replace(faults, tolerate=2).need_s(0.02, 0.5, lost_s, 0.3) == pytest.approx(0.6)
     assert replace(faults, tolerate=0).least_room_s(0.02, 0.5, lost_s, tenth_s) == 0.5
+
+
+@pytest.mark.parametrize("at_ms", range(0, 300, 10))
+def test_a_drive_that_lost_as_many_answers_as_are_tolerated_is_still_fed_before_others(
+    at_ms: int,
+) -> None:
+    names = [f"d{number}" for number in range(6)]
+    world = World().drives(*names)
+    world.schedule.expect(FaultHypothesis(3, stop_s=0.06, stop_failed_s=0.145))
+    for name in names:
+        world.feed(name, 0.739, cost_s=0.035, worst_s=0.128)
+    world.run(2.0 + at_ms / 1000)
+    lost = 0
+    while lost < 3:
+        world.silent = {"d1"}
+        if world.step() is None:
+            wake_s = world.schedule.wake_at_s(world.now_s)
+            assert wake_s is not None
+            world.now_s = wake_s
+        elif not world.sent[-1].reached:
+            lost += 1
+    world.silent = set()
+    world.run(6.0)
+    feeds = world.schedule.stats(world.now_s).feeds
+    assert [name for name, feed in feeds.items() if feed.lapses] == []
+
+
+def test_after_a_lost_answer_a_longer_exchange_with_the_drive_leaves_room_for_the_others() -> None:
+    faults = FaultHypothesis(3)
+    feeds = WatchdogSet(faults)
+    request = World().request("a", P.WATCHDOG)
+    feeds.by_drive["a"] = own = WatchdogDeadline("a", WatchdogFeeding(1.0, lambda: request), 0.0)
+    feeds.failed(own, 0.2)
+    own.retry_at_s = -math.inf
+    holds_s = HARD_PART * 1.0 - COST_S - WORST_S - 0.05 - WORST_S
+    assert feeds.own_first(holds_s - 0.01, WORST_S + 0.05, "a") is None
+    assert feeds.own_first(holds_s + 0.01, WORST_S + 0.05, "a") is own
+    own.failures = faults.tolerate
+    assert feeds.own_first(holds_s + 0.01, WORST_S + 0.05, "a") is None

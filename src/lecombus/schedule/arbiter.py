@@ -42,7 +42,7 @@ from lecombus.schedule.polling import Polling, PollingEntry
 from lecombus.schedule.request import DispatchReason, Priority, Request
 from lecombus.schedule.shares import CLASS_SHARES, Probe, Probes, Shares
 from lecombus.schedule.waiting import QueuedDrive, Waiting, has_expired
-from lecombus.schedule.watchdog_deadline import SPARE_ATTEMPTS, WatchdogDeadline
+from lecombus.schedule.watchdog_deadline import WatchdogDeadline
 from lecombus.schedule.watchdog_set import WatchdogSet
 
 __all__ = ["Arbiter", "Lookahead", "PlannedChoice", "WatchdogArbiter", "to_feed"]
@@ -90,15 +90,15 @@ class WatchdogArbiter:
         tolerated goes behind those that are late and whose watchdogs can still be kept.
         """
         feeds = self._watchdogs
-        most = min(feeds.faults.tolerate, SPARE_ATTEMPTS - 1)
         for feed in feeds.due(now_s):
             fits = feeds.fits(now_s, feed.worst_s, feed.drive)
-            late = feeds.late(now_s, but=(feed.drive,)) if feed.failures > most else None
+            behind = feed.failures > feeds.faults.tolerate
+            late = feeds.late(now_s, but=(feed.drive,)) if behind else None
             if late is not None:
                 return self.telegram(late, now_s)
             if fits:
                 return self.telegram(feed, now_s)
-            if feed.failures < SPARE_ATTEMPTS:  # a lost answer or two: the spare is kept for it
+            if feed.failures < feeds.faults.gone_from:  # few lost answers: the spare is kept for it
                 if not feeds.fits(now_s, feed.cost_s, feed.drive):
                     feed = feeds.first(now_s) or feed
                 return self.telegram(feed, now_s)

@@ -119,7 +119,8 @@ class SilentStops:
             return stop
         if own.failures < feeds.faults.tolerate:
             takes_s = stop.worst_s
-        if feeds.fits(now_s, takes_s - feeds.tenth_s(), stop.drive):
+        holds = feeds.fits(now_s, takes_s - feeds.tenth_s(), stop.drive)
+        if holds and other.outlasts_late(now_s, takes_s):
             return stop
         if own.held_until_s > now_s:
             return self._arbiter.plain(other)

@@ -48,6 +48,11 @@ class FaultHypothesis:
     stop_s: float = 0.0
     stop_failed_s: float = 0.0
 
+    @property
+    def gone_from(self) -> int:
+        """From so many lost answers in a row on a drive may be gone, and others go before it."""
+        return max(SPARE_ATTEMPTS, self.tolerate + 1)
+
     def need_s(self, cost_s: float, worst_s: float, lost_s: float, tenth_s: float) -> float:
         """Return how much slack it takes to begin an exchange, seconds.
 
@@ -285,7 +290,7 @@ class WatchdogDeadline:
         left_s = self.hard_s - now_s
         if left_s <= RETRY_LEAST_S:  # late, but the watchdog may not have fired yet
             left_s = self.fed_at_s + self.time_s - now_s
-        if left_s <= RETRY_LEAST_S and self.failures >= SPARE_ATTEMPTS:
+        if left_s <= RETRY_LEAST_S and self.failures >= max(SPARE_ATTEMPTS, tolerate + 1):
             self.retry_at_s = now_s + self.time_s * SOFT_PART
             return
         spare = max(SPARE_ATTEMPTS - self.failures, 1)
@@ -306,6 +311,14 @@ class WatchdogDeadline:
         """
         fresh = now_s - self.fed_at_s < self.time_s * FRESH_PART
         return fresh or now_s + worst_s + self.cost_s <= self.hard_s
+
+    def outlasts_late(self, now_s: float, takes_s: float) -> bool:
+        """Return whether its watchdog, if it can be kept at all, is kept behind something else.
+
+        The slack check leaves out a feed that is too late for its hard deadline.
+        """
+        acts_s = self.fed_at_s + self.time_s - self.cost_s
+        return now_s > acts_s or now_s + takes_s <= acts_s
 
     def made(self) -> Request:
         """Build the feeding request, with time-outs no longer than is counted with."""

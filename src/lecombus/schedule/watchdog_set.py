@@ -242,11 +242,16 @@ class WatchdogSet:
     def own_first(self, now_s: float, worst_s: float, drive: str) -> WatchdogDeadline | None:
         """Find the drive's own feed if it goes before a longer exchange with that drive.
 
-        Not answered, the exchange would make it late.
+        Not answered, the exchange would make it late; after a lost answer, also if that leaves no
+        time for all others that may yet be lost.
         """
         own = self.by_drive.get(drive)
-        if own is None or not own.active or own.failures or worst_s <= own.worst_s:
+        if own is None or not own.active or worst_s <= own.worst_s:
             return None
+        if own.failures:
+            left = self.faults.tolerate - own.failures  # answers that may yet be lost
+            holds = now_s + worst_s + (left - 1) * own.worst_s + own.cost_s <= own.hard_s
+            return None if left < 1 or holds or own.free_s() > now_s else own
         return None if own.outlasts(now_s, worst_s) or own.free_s() > now_s else own
 
     def failed(self, feed: WatchdogDeadline, now_s: float) -> None:
@@ -413,7 +418,7 @@ class WatchdogSet:
             feed
             for feed in self.by_drive.values()
             if feed.active
-            and feed.failures < SPARE_ATTEMPTS
+            and feed.failures < self.faults.gone_from
             and feed.free_s() <= now_s
             and now_s + feed.cost_s <= feed.fed_at_s + feed.time_s
         ]
@@ -447,7 +452,7 @@ class WatchdogSet:
             if feed.active
             and feed.left_out
             and feed.drive not in but
-            and feed.failures < SPARE_ATTEMPTS
+            and feed.failures < self.faults.gone_from
             and feed.free_s() <= now_s
             and may_go(feed)
         ]
