@@ -15,6 +15,7 @@ from typing import Any
 
 from lecombus.capacity.plan import Promises, make_promises
 from lecombus.config import Roster
+from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.exchanges.exchange_loop import LecomExchangeLoop
 from lecombus.fieldbus.lecom.exchanges.idle_receive import BusIdleTimer
 from lecombus.fieldbus.lecom.protocol.exchange import Ask, Exchange, Result
@@ -31,7 +32,7 @@ from lecombus.schedule import (
     watchdog_set,
 )
 from lecombus.supervision import drive_changes
-from proof import invariants
+from proof import invariants, promises
 
 __all__ = ["BROKEN", "broken"]
 
@@ -146,24 +147,30 @@ def _falling() -> list[Patch]:
     return [(Exchange, "feed", feed_and_fall)]
 
 
-def _promising(**factors: float) -> list[Patch]:
-    """Promises a part of what the plan promises."""
+def _promising(only: str = "", **factors: float) -> list[Patch]:
+    """Promises a part of what the plan promises, to all classes or to one."""
 
-    def make_better(roster: Roster) -> Promises:
-        plan = make_promises(roster)
+    def make_better(roster: Roster, timing: LineTiming | None = None) -> Promises:
+        plan = make_promises(roster, timing)
         waits = (
             dataclasses.replace(
                 wait, **{name: getattr(wait, name) * part for name, part in factors.items()}
             )
+            if only in ("", wait.name)
+            else wait
             for wait in plan.waits
         )
         return dataclasses.replace(plan, waits=tuple(waits))
 
-    return [(invariants, "make_promises", make_better)]
+    return [(where, "make_promises", make_better) for where in (invariants, promises)]
 
 
 def _short_waits() -> list[Patch]:
     return _promising(quiet_s=TIGHTER, loaded_s=TIGHTER)
+
+
+def _short_slot_waits() -> list[Patch]:
+    return _promising("cyclic", quiet_s=TIGHTER)
 
 
 def _short_exchanges() -> list[Patch]:
@@ -214,6 +221,7 @@ BROKEN = {
     "overtakes stops": Broken(_late_stops, "went before the stop of", (0, 1)),
     "falls over": Broken(_falling, "the daemon fell over: RuntimeError('on purpose')"),
     "promises short waits": Broken(_short_waits, " waited ", (12, 36)),
+    "promises short waits to slots": Broken(_short_slot_waits, "cyclic to ", (54388, 63180)),
     "promises short exchanges": Broken(_short_exchanges, "it took"),
     "reads seldom": Broken(_seldom, "was not read for", (64, 72)),
     "feeds at the last moment": Broken(_last_moment, "was not fed for", (84, 69, 4)),
