@@ -620,6 +620,32 @@ def test_another_drives_address_is_no_proof() -> None:
     assert "C0009, its address, reads 2, not 1: the answer may be another drive's" in reason
 
 
+def test_a_drive_without_the_code_of_its_address_is_not_said_to_have_second_answers() -> None:
+    """It was silent, and its readings are answers that another drive was asked for too."""
+    duplicates, verdict, at_s = Duplicates(), None, 0.0
+    job = StopJob(
+        STATION, StopAction.INHIBIT, word=lambda: None, retries=1, silent=True,
+        duplicates=duplicates,
+    )  # fmt: skip
+    while verdict is None:
+        at_s += 0.25
+        for form in Form:
+            duplicates.asked(encode_code(Code(150), form), "b", at_s)
+        step, result = job.step, RESULTS["ack"]
+        if step.kind is StepKind.READ:
+            assert step.form is not None
+            field = encode_code(step.code, step.form)
+            shown = ValueAnswer(field, Value.parse("H0080"))
+            result = answered(UnknownCodeAnswer(field) if step.code == Code(9) else shown)
+        verdict = job.advance(late(result, at_s))
+    outcome, reason = verdict
+    assert outcome is UNKNOWN
+    assert reason == (
+        "inhibit was sent and C0150 reads H0080, but C0009, its address, does not exist in it, and "
+        "another drive was asked for the same: the answer may be another drive's"
+    )
+
+
 def test_an_address_that_was_not_asked_for_is_not_said_to_read_otherwise() -> None:
     """The second reading is lost until the time of the stop is over."""
     job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=1, silent=True)

@@ -219,8 +219,13 @@ class ReadBackProof:
 
     def not_its_own(self, station: Station) -> str:
         """Return why a reading that shows it may be another drive's."""
-        if not self._knows_it:
-            what, read = station.family.spoken(address_code(station.family)), self._address_read
+        what, read = station.family.spoken(address_code(station.family)), self._address_read
+        if self.has_no_address and not self._is_itself:
+            return (
+                f"{what}, its address, does not exist in it, and another drive was asked for the "
+                "same: the answer may be another drive's"
+            )
+        if not self._is_itself:
             is_read = "was not read"
             if read is not None:
                 is_read = f"reads {read.raw}, not {station.address}"
