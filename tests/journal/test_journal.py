@@ -382,6 +382,15 @@ def test_no_head_is_logged_of_a_file_that_could_not_be_opened_yet(
     with_journal(path, scenario)
 
 
+def test_keys_are_read_while_nothing_can_be_written(tmp_path: Path) -> None:
+    async def scenario(journal: Journal) -> None:
+        await journal.keep_now(KeyRow("k", b"1", 200))
+        journal._fail("there is no room")
+        assert [one.name for one in await journal.keys()] == ["k"]
+
+    with_journal(tmp_path / "j", scenario)
+
+
 def test_the_end_writes_all_that_waits_and_logs_the_last_row(
     tmp_path: Path, disk: Disk, caplog: pytest.LogCaptureFixture
 ) -> None:

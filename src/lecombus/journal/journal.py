@@ -274,7 +274,7 @@ class Journal:
         Raises:
             JournalFileError: They cannot be read now.
         """
-        if self.trouble:
+        if not self._file.is_open:  # the thread may hang in that
             raise JournalFileError(self.trouble)
         try:
             return await self._ask(

@@ -127,6 +127,11 @@ class JournalFile:
         """The file itself, where a link leads now."""
         return Path(os.path.realpath(self._path))
 
+    @property
+    def is_open(self) -> bool:
+        """Whether it is open; it may be full or broken all the same."""
+        return self._db is not None
+
     # ---- opening -----------------------------------------------------------------------------
 
     def open(self, now_ms: int) -> None:
