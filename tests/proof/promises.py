@@ -81,13 +81,16 @@ class Promises:
         if line.is_saturated:
             classes = {}
         slowed = _slowed(line, plan) if self._judged else plan
-        waits = {
-            which: (slowed if which in SUMS else plan).wait(name) for which, name in classes.items()
-        }
+        waits = {which: plan.wait(name) for which, name in classes.items()}
         self._waits = {
             which: (wait.name, wait.quiet_s if quiet else wait.loaded_s)
             for which, wait in waits.items()
         }
+        for which in self._waits.keys() & set(SUMS):
+            name, promised_s = self._waits[which]
+            wait = slowed.wait(name)
+            slowed_s = wait.quiet_s if quiet else wait.loaded_s
+            self._waits[which] = name, max(promised_s, slowed_s)
         self._own_s = {wait.name: wait.own_s for wait in waits.values()}
         self._promised_for = OWN_WORK if quiet else OWN_WORK | {Priority.BACKGROUND}
         self._asked: list[tuple[float, float]] = []

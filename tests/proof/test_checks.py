@@ -83,3 +83,8 @@ def test_a_line_whose_watchdogs_check_refuses_by_milliseconds_gets_longer_ones()
     line = line_of(33360, 60.0)
     times = {drive.watchdog.time_s for drive in line.roster.drives if drive.watchdog}
     assert min(times) > 0.792
+
+
+def test_an_exchange_is_held_to_the_printed_plan_where_the_adapter_is_slow() -> None:
+    """Seed 71336: with 8 ms more for each answer a plan refuses reads that the schedule begins."""
+    assert run_line(line_of(71336, 120.0)).broken == ()
