@@ -86,7 +86,7 @@ def test_a_line_without_watchdogs_has_no_least_time_for_them() -> None:
 
 def test_the_verdict_follows_from_the_times() -> None:
     assert make_plan(line_of(2, time="4s")).watchdogs[0].verdict.startswith("held, also")
-    assert make_plan(line_of(1, time="300ms")).watchdogs[0].verdict == (
+    assert make_plan(line_of(1, time="330ms")).watchdogs[0].verdict == (
         "held while no drive goes away"
     )
 

@@ -198,7 +198,7 @@ def test_only_drives_whose_codes_are_slow_can_be_without_room() -> None:
 
 def test_a_long_watchdog_beside_a_short_one_takes_nothing_from_its_room() -> None:
     assert warned(watched(["1s", *["30s"] * 10])) == []
-    (told,) = warned(watched(["500ms"]))
+    (told,) = warned(watched(["540ms"]))
     assert "while it is fed" in told
 
 

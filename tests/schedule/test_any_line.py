@@ -12,9 +12,11 @@ import random
 
 import pytest
 
+from lecombus.capacity.watchdog_demand import demand_of, least_time_s
 from lecombus.schedule import Priority, Request
 from lecombus.schedule.watchdog_deadline import FaultHypothesis
 from schedule.world import COST_S, World
+from support.rosters import make_roster
 
 P = Priority
 LASTS_S = 12.0
@@ -129,3 +131,43 @@ def test_a_line_says_the_same_whenever_it_is_run() -> None:
         line.run()
         runs.append([(sent.at_s, sent.request.drive, sent.reached) for sent in line.world.sent])
     assert runs[0] == runs[1]
+
+
+@pytest.mark.parametrize("other", ["a", "b"])
+@pytest.mark.parametrize("after_ms", range(0, 300, 20))
+def test_a_stop_lost_while_a_drive_is_left_alone_after_a_write_makes_no_watchdog_act(
+    other: str, after_ms: int
+) -> None:
+    """Two 820X at 19200 baud with the shortest watchdogs that their roster may have."""
+    roster = make_roster(
+        [("a", 1, "820x"), ("b", 2, "820x")], baud=19200, line="tolerate: 1", drive="",
+        watchdog="{time: 60000ms, action: quick-stop, configure: true}",
+    )  # fmt: skip
+    demand = demand_of(roster)
+    time_s = least_time_s(demand, all_alike=True)
+    assert time_s is not None
+    world = World().drives("a", "b")
+    world.schedule.expect(demand.faults)
+    for name, stream in zip(("a", "b"), demand.streams, strict=True):
+        world.feed(name, time_s, cost_s=stream.cost_s, worst_s=demand.lost_s)
+    world.run(2.0)
+    write = world.submit("a", P.CONTROL, cost_s=0.044, worst_s=0.214, hold_s=0.23)
+    while not write.attempts:
+        world.run(world.now_s + 0.01)
+    world.schedule.hold("a", world.now_s + 0.23, world.now_s)
+    world.run(world.now_s + after_ms / 1000)
+    world.silent = {other}
+    stop = world.submit(other, P.STOP, cost_s=0.235, worst_s=demand.faults.stop_failed_s)
+
+    def again(request: Request, reached: bool) -> bool:
+        if request is stop and not reached:
+            world.schedule.again(stop, world.now_s, world.now_s)
+        return request is stop and not reached
+
+    world.after = again
+    while not stop.attempts:
+        world.step()
+    world.silent = set()
+    world.run(world.now_s + 3.0)
+    feeds = world.schedule.stats(world.now_s).feeds
+    assert [name for name, feed in feeds.items() if feed.lapses] == []

@@ -119,6 +119,16 @@ def own_longest_s(drive: DriveEntry, timing: LineTiming) -> float:
     return max(*reads, *stops)
 
 
+def own_alone_s(drive: DriveEntry, timing: LineTiming) -> float:
+    """Give for how long a drive is not fed from the beginning of a write on, seconds.
+
+    A module that acknowledges early is left alone then; whether it does is known only when it was
+    asked. Zero for a family that is not left alone.
+    """
+    hold_s = family(drive.family).hold_after_write_s
+    return hold_s + feed_times(drive, timing).usual_s if hold_s > 0.0 else 0.0
+
+
 def stop_s(drive: DriveEntry, timing: LineTiming) -> float:
     """Give the line time of stopping a drive and reading back that it stopped, seconds.
 

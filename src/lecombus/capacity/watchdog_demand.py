@@ -45,6 +45,7 @@ from lecombus.capacity.demand_bound import (
 from lecombus.capacity.exchange_costs import (
     dearest_feed_times,
     line_timing,
+    own_alone_s,
     own_longest_s,
     read_times,
     stop_attempt_s,
@@ -130,6 +131,8 @@ class WatchdogDemand:
         delays: How long each drive of the line may delay the others.
         lost_s: What one feed that is not answered costs at most, seconds.
         own_s: For each watched drive, its own longest exchange: nothing else feeds it then.
+        alone_s: For each watched drive, how long it is not fed from the beginning of a write on,
+            because it is left alone after that.
         faults: The lost answers within any watchdog time that all watchdogs must outlast, and the
             stops for which the running schedule keeps room.
     """
@@ -141,6 +144,7 @@ class WatchdogDemand:
     lost_s: float
     own_s: tuple[float, ...]
     faults: FaultHypothesis
+    alone_s: tuple[float, ...]
 
     @property
     def tolerate(self) -> int:
@@ -150,6 +154,11 @@ class WatchdogDemand:
     def before(self, drive: str) -> tuple[DriveDelay, ...]:
         """List what may delay a drive's feed: the exchanges with all other drives."""
         return tuple(one for one in self.delays if one.drive != drive)
+
+    def alone(self, drive: str) -> float:
+        """Give for how long a drive is not fed from the beginning of a write on, seconds."""
+        names = [one.name for one in self.streams]
+        return self.alone_s[names.index(drive)]
 
     def overload(self, *, lost: int | None = None) -> Overload | None:
         """Find where the feeds do not fit when answers are lost within a watchdog time.
@@ -171,15 +180,16 @@ class WatchdogDemand:
         """Give the streams with lost answers, and what else may come before each once.
 
         A feed counts from its beginning, so the time that the one before took passes as well. The
-        last tenth holds that, unless a stop takes it.
+        last tenth holds that, unless a stop takes it. A write, which feeds its drive, may
+        have come before instead, with the time for which the drive is left alone after that.
         """
         faults, tenth_s = self._losing(lost)
         more_s = (lost - 1) * self.lost_s
         stop_s = more_s + faults.stop_behind_s(self.lost_s, tenth_s)
         found = []
-        for one, others in zip(self.streams, self.others, strict=True):
+        for one, others, alone_s in zip(self.streams, self.others, self.alone_s, strict=True):
             need_s = faults.need_s(others.answered_s, others.failed_s, self.lost_s, tenth_s)
-            behind_s = max(need_s, others.answered_s + stop_s + one.cost_s)
+            behind_s = max(need_s, others.answered_s + stop_s + one.cost_s, alone_s + stop_s)
             found.append(replace(one, blocked_s=behind_s))
         return tuple(found)
 
@@ -252,7 +262,7 @@ class WatchdogDemand:
             for one in self.delays
         )
         return _put_together(
-            self.drives, self.streams, delays, self.own_s, self.lost_s, self.faults
+            self.drives, self.streams, delays, self.own_s, self.lost_s, self.faults, self.alone_s
         )
 
 
@@ -286,6 +296,7 @@ def demand_of(roster: Roster, timing: LineTiming | None = None) -> WatchdogDeman
         tuple(own_longest_s(drive, timing) for drive, _ in watched),
         max((one.worst_s for one in times), default=0.0),
         faults_of(roster, timing),
+        tuple(own_alone_s(drive, timing) for drive, _ in watched),
     )
 
 
@@ -314,6 +325,7 @@ def _put_together(
     own_s: tuple[float, ...],
     lost_s: float,
     faults: FaultHypothesis,
+    alone_s: tuple[float, ...],
 ) -> WatchdogDemand:
     """Give each stream the longest delay by all drives but its own."""
     others = _others(delays, [one.name for one in streams])
@@ -321,7 +333,7 @@ def _put_together(
         replace(one, blocked_s=before.under_way_s + before.stop_s)
         for one, before in zip(streams, others, strict=True)
     )
-    return WatchdogDemand(drives, blocked, others, delays, lost_s, own_s, faults)
+    return WatchdogDemand(drives, blocked, others, delays, lost_s, own_s, faults, alone_s)
 
 
 def _others(delays: Sequence[DriveDelay], names: Sequence[str]) -> tuple[OtherDelays, ...]:

@@ -107,6 +107,9 @@ def _arithmetic(drive: DriveEntry, demand: WatchdogDemand, overload: Overload, b
             f"({_ms(demand.lost_s)} each), and as far as the last tenth of the shortest time does "
             f"not hold them a stop ({stop}, or {failed} without an answer) and the feed before"
         )
+        alone_s = demand.alone(overload.whose)
+        if alone_s > 0.0:
+            behind += f" or a write, after which {overload.whose} is left alone ({_ms(alone_s)})"
     elif before:
         behind = (
             f" behind one exchange that fails ({_ms(under_way_s(before))}) and one stop "
