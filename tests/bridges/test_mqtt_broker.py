@@ -79,6 +79,20 @@ def test_a_will_that_the_broker_does_not_take_is_made_smaller() -> None:
         assert (limits.retain, limits.qos) == left
 
 
+@pytest.mark.parametrize(
+    ("cause", "text"),
+    [
+        (ConnectionRefusedError(111, "Connection refused"), "connection refused; is the broker "),
+        (OSError(113, "No route to host"), "No route to host"),
+        (OSError("odd"), "odd"),
+    ],
+)
+def test_why_there_is_no_connection_is_said_in_words(cause: OSError, text: str) -> None:
+    error = aiomqtt.MqttError(str(cause))
+    error.__context__ = cause  # all that aiomqtt leaves of it
+    assert str(refusal(error, WillLimits())).startswith(text)
+
+
 def test_texts_from_drives_do_not_break_a_message() -> None:
     message = Message("a", b"1", properties=(("reason", "a\0b" + "x" * 70_000),), expiry_s=3)
     packed = properties_of(message).pack()  # type: ignore[no-untyped-call]

@@ -209,6 +209,7 @@ def broker_restarts(
     assert seen()["line-00"]["drives"] == {"unknown": EACH}
     ran = fleet(hub.port, "--once")
     assert (ran.status, ran.out) == (3, "")
+    assert "connection refused; is the broker running" in ran.err
     ran = fleet(hub.port, "stop", "hall-a")
     assert ran.status == 3
     assert ran.err.startswith("no drive has confirmed the quick stop: motors may still turn")

@@ -63,7 +63,7 @@ COMMANDS: Final[Mapping[str, tuple[str, str]]] = {
     "token": ("token", "Make, list and revoke the tokens that requests over TCP carry."),
     "support-bundle": ("support_bundle", "Collect what a maintainer needs, without secrets."),
     "scan": ("scan", "Find the drives on a line, and propose a roster."),
-    "bridge": ("bridge_commands", "Run a bridge to another protocol: MQTT or Modbus TCP."),
+    "bridge": ("bridge_commands", "Run a bridge: MQTT, Modbus TCP, or notify (mail, a command)."),
     "fleet": ("fleet", "Follow many lines on a broker: what needs attention; stop lines."),
     "notify": ("notify", "Try the messages that are sent when something happens."),
     "why": ("status", "Say why a drive does not turn, and what to do next."),
@@ -107,9 +107,10 @@ class _Commands(click.Group):
 def lecombus() -> None:
     """Speak LECOM-A/B with a line of Lenze drives.
 
-    demo, run, check, plan, simulate and rebaud work on a roster, describe on nothing, all others
-    talk to a running daemon; read and scan can open a port themselves. lecombus is not a
-    safety function: have an emergency stop without software.
+    demo, run, check, plan, simulate and rebaud work on a roster, bridge and notify on a roster and
+    its daemon, describe on nothing, token on its file; fleet talks to an MQTT broker, all others to
+    a running daemon; read and scan can open a port themselves. lecombus is not a safety function:
+    have an emergency stop without software.
     """
 
 

@@ -412,7 +412,13 @@ def refusal(exc: aiomqtt.MqttError, will_limits: WillLimits) -> BrokerError:
         will_limits.retain = False
     elif code == QOS_NOT_SUPPORTED:
         will_limits.qos = 0
-    return BrokerError(str(exc) or "it does not answer in time", is_refused=code in REFUSALS)
+    text = str(exc) or "it does not answer in time"
+    cause = exc.__context__  # aiomqtt keeps only its text, with the number of the error
+    if isinstance(cause, ConnectionRefusedError):
+        text = "connection refused; is the broker running, and is that its port?"
+    elif isinstance(cause, OSError):
+        text = cause.strerror or text
+    return BrokerError(text, is_refused=code in REFUSALS)
 
 
 def client_for(
