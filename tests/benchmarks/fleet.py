@@ -115,7 +115,7 @@ def of_daemons(folder: Path, rounds: int, broker: Process, broker_port: int) -> 
             digits=1, note="MB, proportional share",
         ),
         Row(
-            "the same: processor", f"{spread(loads)} % of a core", "", median(loads), MOST_PERCENT,
+            "the same daemons: processor", f"{spread(loads)} % of a core", "", median(loads), MOST_PERCENT,
             digits=1, note="% of a core, all together, full lines with the default reads, "
             f"{spread(rates, 0)} exchanges a second",
         ),
