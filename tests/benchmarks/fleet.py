@@ -115,8 +115,8 @@ def of_daemons(folder: Path, rounds: int, broker: Process, broker_port: int) -> 
             digits=1, note="MB, proportional share",
         ),
         Row(
-            "the same daemons: processor", f"{spread(loads)} % of a core", "", median(loads), MOST_PERCENT,
-            digits=1, note="% of a core, all together, full lines with the default reads, "
+            "the same daemons: processor", f"{spread(loads)} % of a core", "", median(loads),
+            MOST_PERCENT, digits=1, note="% of a core, all together, full lines with the default reads, "
             f"{spread(rates, 0)} exchanges a second",
         ),
         *rows,

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import re
 import subprocess
 from pathlib import Path
 
+import click
 import pytest
 
-from lecombus.cli.entry import COMMANDS
+from lecombus.cli.entry import COMMANDS, lecombus
 from support.package_build import ROOT, build
 from support.real_parts import require
 
@@ -96,7 +98,20 @@ def test_each_python_has_its_compiled_modules(unpacked: Path) -> None:
 
 def test_every_command_has_a_man_page(unpacked: Path) -> None:
     pages = {path.name for path in (unpacked / "usr/share/man/man1").iterdir()}
-    assert {"lecombus.1.gz", *(f"lecombus-{name}.1.gz" for name in COMMANDS)} <= pages
+    context = click.Context(lecombus)
+    commands = {name: lecombus.get_command(context, name) for name in COMMANDS}
+    parts = {
+        f"{name}-{part}"
+        for name, command in commands.items()
+        if isinstance(command, click.Group)
+        for part in command.commands
+    }
+    assert "fleet-stop" in parts
+    assert pages == {"lecombus.1.gz", *(f"lecombus-{name}.1.gz" for name in {*COMMANDS, *parts})}
+    for page in (unpacked / "usr/share/man/man1").iterdir():
+        said = gzip.decompress(page.read_bytes()).decode()
+        (what,) = re.findall(r"^\.SH NAME\n(.+)$", said, re.MULTILINE)
+        assert not what.endswith("..."), what
 
 
 @pytest.mark.long

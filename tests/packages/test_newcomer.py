@@ -206,6 +206,17 @@ def use_mqtt(root: DebianRoot) -> None:
     assert re.search(r"\b17\b", simulator(root, "get feeder C0046")), "the drive has it"
     journal = root.run("lecombus", "journal")
     assert re.search(r"\twrite\tfeeder\tdone\tcode=C0046 value=17 .*client=mqtt", journal), journal
+    look_at_the_fleet(root)
+
+
+def look_at_the_fleet(root: DebianRoot) -> None:
+    """It needs the broker's permission only, and no daemon's."""
+    words = ("lecombus", "fleet", "--broker", "mqtt://127.0.0.1")
+    seen = root.run(*words, "--once", user=VISITOR, status=None)
+    assert {row.partition("\t")[0] for row in seen.splitlines()} == {"hall-3"}, seen
+    assert "2 online" in seen
+    stop = ("lecombus", "fleet", "stop", "hall-3", "--broker", "mqtt://127.0.0.1")
+    assert root.run(*stop, user=VISITOR).count("\tverified\t") == 2
 
 
 def begin_backup(root: DebianRoot) -> None:
