@@ -116,7 +116,8 @@ def of_daemons(folder: Path, rounds: int, broker: Process, broker_port: int) -> 
         ),
         Row(
             "the same daemons: processor", f"{spread(loads)} % of a core", "", median(loads),
-            MOST_PERCENT, digits=1, note="% of a core, all together, full lines with the default reads, "
+            MOST_PERCENT, digits=1,
+            note="% of a core, all together, full lines with the default reads, "
             f"{spread(rates, 0)} exchanges a second",
         ),
         *rows,
