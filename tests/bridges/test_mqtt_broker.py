@@ -93,6 +93,14 @@ def test_why_there_is_no_connection_is_said_in_words(cause: OSError, text: str) 
     assert str(refusal(error, WillLimits())).startswith(text)
 
 
+def test_a_user_whom_the_broker_refuses_is_asked_to_check_user_and_password() -> None:
+    code = ReasonCode(PacketTypes.CONNACK, identifier=135)
+    error = refusal(aiomqtt.MqttCodeError(code), WillLimits())
+    assert error.is_refused
+    text = "it refuses the connection (Not authorized); are user and password right?"
+    assert str(error) == text
+
+
 def test_texts_from_drives_do_not_break_a_message() -> None:
     message = Message("a", b"1", properties=(("reason", "a\0b" + "x" * 70_000),), expiry_s=3)
     packed = properties_of(message).pack()  # type: ignore[no-untyped-call]

@@ -407,7 +407,8 @@ async def open_broker(
 
 def refusal(exc: aiomqtt.MqttError, will_limits: WillLimits) -> BrokerError:
     """Return why no connection came about, and learn from it."""
-    code = getattr(getattr(exc, "rc", None), "value", None)
+    reason = getattr(exc, "rc", None)
+    code = getattr(reason, "value", None)
     if code == RETAIN_NOT_SUPPORTED:
         will_limits.retain = False
     elif code == QOS_NOT_SUPPORTED:
@@ -418,6 +419,8 @@ def refusal(exc: aiomqtt.MqttError, will_limits: WillLimits) -> BrokerError:
         text = "connection refused; is the broker running, and is that its port?"
     elif isinstance(cause, OSError):
         text = cause.strerror or text
+    elif code in REFUSALS:
+        text = f"it refuses the connection ({reason}); are user and password right?"
     return BrokerError(text, is_refused=code in REFUSALS)
 
 
