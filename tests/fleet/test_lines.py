@@ -233,6 +233,17 @@ def test_a_line_whose_state_is_removed_is_no_more(scene: Scene) -> None:
     assert scene.views() == []
 
 
+def test_a_summary_that_stands_without_a_state_is_not_believed(scene: Scene) -> None:
+    """A bridge was lost, and a person removed its state while its last summary still stood."""
+    scene.summary("a", retained=True, expiry_s=20)
+    scene.lines.settled()
+    (view,) = scene.views()
+    assert (view.status, set(view.drives)) == ("no-news", {"unknown"})
+    assert view.needs[0].text.startswith("no state of it stands at the broker")
+    scene.summary("a")  # that it is sent now shows that the bridge is there
+    assert scene.view("a").status == "ok"
+
+
 def test_a_bridge_that_ends_removes_its_summary(scene: Scene) -> None:
     scene.well("a")
     scene.take(f"{ROOT}/a/summary", b"")

@@ -68,6 +68,8 @@ NO_SUMMARY: Final = (
     "no summary of it stands at the broker: its bridge is lost, or older than this program"
 )
 
+NO_STATE: Final = "no state of it stands at the broker: it was removed, or is not passed on"
+
 NOTHING_KNOWN: Final = frozenset(("unknown", "missing", "bridge-offline", "no-news", "daemon-away"))
 """With these nothing is known of the drives."""
 
@@ -333,7 +335,8 @@ class FleetLines:
             known.came_s, known.made_s = now_s, now_s - (summary.stands_s - left_s)
         known.good_until_s = now_s + left_s if left_s > 0 else -inf
         is_back = known.state_at_s is None or now_s - known.state_at_s >= BACK_AFTER_S
-        if known.state == "offline" and is_back and not is_retained:
+        is_there = known.state is None or (known.state == "offline" and is_back)
+        if is_there and not is_retained:  # that it is sent now shows a bridge
             known.state, known.state_at_s = summary.state, now_s
 
     def _known(self, root: str, name: str, *, is_line: bool) -> KnownLine | None:
@@ -406,6 +409,8 @@ class FleetLines:
             found.append((known.state, known.reason))
         elif not self.is_settled:
             return "unknown", "nothing of it has come yet since the broker is back"
+        else:
+            return "no-news", NO_STATE
         if is_fresh and known.summary is not None:
             found.append((known.summary.state, known.summary.reason))
         kinds = [
