@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
-from lecombus.daemon import place, tell_goodbye
+from lecombus.api.server import Served
+from lecombus.daemon import tell_goodbye
 from lecombus.drives import StopAction
 from lecombus.operations.operation_reports import GroupReport, WriteReport
 from lecombus.parameters import Code
@@ -24,7 +27,7 @@ from lecombus.schedule import Outcome
 def test_where_http_is_served_is_written_as_one_would_type_it(
     http: tuple[str, int] | None, written: str
 ) -> None:
-    assert place(http) == written
+    assert Served(Path("/run/api.sock"), http).address == written
 
 
 @pytest.mark.parametrize(

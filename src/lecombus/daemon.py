@@ -126,14 +126,6 @@ def first_error(error: BaseException) -> BaseException:
     return error
 
 
-def place(http: tuple[str, int] | None) -> str:
-    """Write where HTTP is served as one would type it; `none` where it is not."""
-    if http is None:
-        return "none"
-    host, port = http
-    return f"[{host.strip('[]')}]:{port}" if ":" in host else f"{host}:{port}"
-
-
 def tell_goodbye(action: StopAction, report: GroupReport) -> None:
     """Log the result of `on_shutdown`; a drive that may still run must be checked by a person."""
     doubtful = ",".join(one.drive for one in report.members if not one.outcome.is_good)
@@ -288,7 +280,7 @@ class Daemon:
             if watched is not None:
                 faces.start_soon(watched.run)
         served = await faces.start(partial(serve, doors=doors), app, Path(api.socket), http)
-        logger.info("event=serving socket=%s http=%s", served.socket_path, place(served.http))
+        logger.info("event=serving socket=%s http=%s", served.socket_path, served.address)
 
     async def _doors(self, api: ApiEntry, runtime: LineRuntime) -> Doors:
         """Read tokens and certificate.

@@ -52,8 +52,8 @@ LINES_EACH = 200
 SAY_EVERY_S = 3600.0
 MUTANT_LENGTH_S = 60.0
 DECIDES_NOTHING = frozenset({
-    "api", "backups", "bridges", "cli", "client", "config", "demo.py", "journal", "metrics",
-    "saved_state", "tokens",
+    "api", "backups", "bridges", "cli", "client", "config", "daemon.py", "demo.py", "fleet",
+    "journal", "metrics", "saved_state", "tokens",
 })  # fmt: skip
 """Rooms that no line of the proof runs, or that only read rosters, count, show and keep."""
 LOST_EVERY = 4

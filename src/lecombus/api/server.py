@@ -86,6 +86,14 @@ class Served:
     socket_path: Path
     http: tuple[str, int] | None
 
+    @property
+    def address(self) -> str:
+        """Where HTTP is served over TCP, as one would type it; `none` where it is not."""
+        if self.http is None:
+            return "none"
+        host, port = self.http
+        return f"[{host.strip('[]')}]:{port}" if ":" in host else f"{host}:{port}"
+
 
 @dataclass(frozen=True, slots=True)
 class Doors:

@@ -310,8 +310,8 @@ class LeaseWatch:
             text = None
             if name in self._holding:
                 text = (
-                    "runs on without a controller (on_lapse: hold): take a lease and enable it, or "
-                    "stop it"
+                    "runs on without a controller (on_lapse: hold), unless it was stopped since: "
+                    "take a lease and enable it, or stop it"
                 )
             elif control.latch is not None:
                 text = f"latched ({LATCHES[control.latch]}): take a lease, then enable it"
