@@ -272,7 +272,7 @@ class ApiEntry(_Model):
         hosts: Names that requests over TCP may use for this machine.
         tokens: The file of tokens; None: TCP answers reads of this machine.
         tls: Certificate and key of TCP; None: without TLS.
-        read_only: Whether no door writes, except to stop.
+        read_only: Whether all writes are refused, except stops.
     """
 
     socket: str

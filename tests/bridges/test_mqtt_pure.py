@@ -19,11 +19,13 @@ from hypothesis import strategies as st
 from lecombus.bridges.line_follower import FollowedDrive, FollowedValue
 from lecombus.bridges.mqtt import seen_commands
 from lecombus.bridges.mqtt.board import Board
+from lecombus.bridges.mqtt.discovery import BOTH_WAYS
 from lecombus.bridges.mqtt.event_queue import EventQueue
 from lecombus.bridges.mqtt.retained import Message, drive_messages
 from lecombus.bridges.mqtt.seen_commands import KEPT, SeenCommands
 from lecombus.bridges.mqtt.topics import CommandTopic, Topics
 from lecombus.client import Quality, Reading
+from lecombus.drives import FAMILY_NAMES, family
 
 TOPICS = Topics("plant/lecombus", "hall-3")
 ROOT = "plant/lecombus/hall-3"
@@ -268,3 +270,11 @@ def test_events_are_bounded_in_memory_and_on_the_disk(tmp_path: Path) -> None:
     assert queue.first() == ("", "0950")
     again = EventQueue(tmp_path, events_kept=50, bytes_kept=2000)
     assert again.first() == ("", "0950")
+
+
+@pytest.mark.parametrize("name", FAMILY_NAMES)
+def test_the_speed_has_a_sign_where_every_setpoint_of_the_family_has_one(name: str) -> None:
+    verbs = family(name).verbs
+    setpoints = () if verbs is None else verbs.setpoints
+    signed = bool(setpoints) and all(one.low < 0 for one in setpoints)
+    assert (name in BOTH_WAYS) == signed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from pydantic import BaseModel
 
 from lecombus.config import (
     Roster,
@@ -13,10 +14,26 @@ from lecombus.config import (
     roster_values,
     value_changes,
 )
+from lecombus.config.building import RENAMED
 from lecombus.config.changes import FIXED, differing_keys
 from lecombus.config.container_types import ListOf, Table
 from lecombus.config.keys import roster_table
-from lecombus.roster import ApiEntry, DriveEntry, LineEntry
+from lecombus.roster import (
+    ApiEntry,
+    CyclicEntry,
+    DriveEntry,
+    JournalEntry,
+    LeaseEntry,
+    LineEntry,
+    MailEntry,
+    MessageLimit,
+    ModbusEntry,
+    MqttEntry,
+    NotifyEntry,
+    StoredWrites,
+    TlsEntry,
+    WatchdogEntry,
+)
 
 DRIVES = {
     "feeder": "address: 11, family: 8200vector",
@@ -182,15 +199,45 @@ def test_other_mistakes_are_listed_with_it_as_far_as_they_are_found_then() -> No
         )  # fmt: skip
 
 
-@pytest.mark.parametrize(("title", "model"), [("line", LineEntry), ("api", ApiEntry),
-                                              ("drives", DriveEntry)])  # fmt: skip
-def test_every_field_is_named_by_a_key_of_the_file(title: str, model: type) -> None:
-    table = roster_table("lecom").keys[title].type
-    table = table.of if isinstance(table, ListOf) else table
-    assert isinstance(table, Table)
-    unlike = model.model_construct(**dict.fromkeys(model.model_fields))  # type: ignore[attr-defined]
-    like = model.model_construct(**dict.fromkeys(model.model_fields, 1))  # type: ignore[attr-defined]
-    assert set(differing_keys(unlike, like)) <= set(table.keys)
+def part(*path: str) -> Table:
+    of: object = roster_table("lecom")
+    for name in path:
+        assert isinstance(of, Table)
+        of = of.keys[name].type
+        of = of.of if isinstance(of, ListOf) else of
+    assert isinstance(of, Table)
+    return of
+
+
+PARTS: dict[tuple[str, ...], type[BaseModel]] = {
+    ("line",): LineEntry, ("api",): ApiEntry, ("api", "tls"): TlsEntry, ("drives",): DriveEntry,
+    ("drives", "watchdog"): WatchdogEntry, ("drives", "cyclic"): CyclicEntry,
+    ("drives", "lease"): LeaseEntry, ("drives", "stored_writes"): StoredWrites,
+    ("mqtt",): MqttEntry, ("modbus",): ModbusEntry, ("journal",): JournalEntry,
+    ("notify",): NotifyEntry, ("notify", "mail"): MailEntry, ("notify", "limit"): MessageLimit,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("path", PARTS, ids=".".join)
+def test_every_field_is_named_by_a_key_of_the_file(path: tuple[str, ...]) -> None:
+    model = PARTS[path]
+    unlike = model.model_construct(None, **dict.fromkeys(model.model_fields))
+    like = model.model_construct(None, **dict.fromkeys(model.model_fields, 1))
+    assert set(differing_keys(unlike, like)) <= set(part(*path).keys)
+
+
+def test_every_renamed_key_is_one_and_its_field_has_no_other_key() -> None:
+    assert set(RENAMED) <= {key for path in PARTS for key in part(*path).keys}
+    assert len(set(RENAMED.values())) == len(RENAMED)
+
+
+def test_the_sender_of_mail_is_named_by_its_key() -> None:
+    """It stood in the journal as `notify.mail.sender`, which no roster takes."""
+    first, other = (
+        roster_values(roster(sections=f"notify: {{mail: {{to: [a@b.c], from: {sender}}}}}"))
+        for sender in ("hall@b.c", "yard@b.c")
+    )
+    assert value_changes(first, other) == {"notify.mail.from": "hall@b.c -> yard@b.c"}
 
 
 def test_every_part_that_needs_a_restart_is_a_key() -> None:

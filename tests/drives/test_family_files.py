@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from decimal import Decimal
 
 import pytest
 
 from lecombus.drives import Family, Language, Storage
-from lecombus.drives.family_files import load_family
+from lecombus.drives.family_files import FamilyFile, load_family
 from lecombus.errors import DescriptionError
 from lecombus.parameters import Code, Value
 
@@ -52,6 +53,14 @@ codes:
 def load(own: str, shared: str = SHARED) -> Family:
     files = {"test.yaml": own, "shared.yaml": shared}
     return load_family("test", files.__getitem__)
+
+
+def test_what_a_file_says_reaches_the_family() -> None:
+    """A key of the file without a field of the same name in `Family` would be dropped."""
+    kept = {one.name for one in fields(Family)}
+    others = {one.name for one in fields(FamilyFile)} - kept
+    # `manual` is for people; the others are used while the file is read.
+    assert others == {"include", "fields", "stored_needs_inhibit", "manual"}
 
 
 def test_good_file_loads_with_what_it_includes() -> None:

@@ -338,6 +338,11 @@ def test_no_drive_and_no_such_drive() -> None:
     with_plant(main, roster_text([("counter", 31, "generic")]))
 
 
+@pytest.mark.parametrize("name", [one for one in FAMILY_NAMES if one != "generic"])
+def test_every_family_that_is_described_has_reasons(name: str) -> None:
+    assert any(name in reason.families for reason in reasons())
+
+
 def test_every_reason_is_of_families_that_have_its_codes_and_states() -> None:
     for reason in reasons():
         for name in reason.families:

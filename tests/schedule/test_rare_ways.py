@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lecombus.schedule import Outcome, Priority, Request
-from lecombus.schedule.queues import LITTER_LIMIT
+from lecombus.schedule.queues import EMPTY_LIMIT
 from lecombus.schedule.waiting import EXPIRE_BATCH
 from lecombus.schedule.watchdog_deadline import FaultHypothesis, WatchdogFeeding
 from schedule.world import World
@@ -59,7 +59,7 @@ def test_a_watchdog_that_begins_while_its_drive_is_left_alone_is_fed_afterwards(
 
 def test_many_withdrawn_requests_leave_the_others_in_their_order() -> None:
     world = World().drives("a")
-    requests = [world.submit("a", P.BACKGROUND) for _ in range(4 * LITTER_LIMIT)]
+    requests = [world.submit("a", P.BACKGROUND) for _ in range(4 * EMPTY_LIMIT)]
     kept = requests[::4]
     for request in requests:
         if request not in kept:

@@ -2,9 +2,9 @@
 
 Answers are written by msgspec, which writes a `Decimal` as a number with all its digits: 50.10 goes
 out as `50.10`. Requests are read by the standard decoder with decimals. What JSON does not know
-(`NaN`), keys that stand twice and numbers of many digits are refused, all by the same error; so
-msgspec does not read, as it takes a key twice without a word. A stop is read by its texts alone:
-numbers are not looked at, keys may stand twice.
+(`NaN`), keys that stand twice and numbers of many digits are refused, all by the same error.
+msgspec does not read requests, because it accepts a key that stands twice. A stop is read by its
+texts alone: numbers are not looked at, keys may stand twice.
 """
 
 from __future__ import annotations

@@ -37,17 +37,22 @@ from lecombus.roster import (
     group_entry,
 )
 
-__all__ = ["STATE_DIR", "build_roster"]
+__all__ = ["RENAMED", "STATE_DIR", "build_roster"]
 
 STATE_DIR = Path("/var/lib/lecombus")
 """Where a line keeps its state file unless the roster says another place; the unit makes it."""
 
-_RENAMED = {
+RENAMED: Final[Mapping[str, str]] = {
     "turnaround": "turnaround_s", "adapter_latency": "adapter_latency_s",
     "late_answer": "late_answer_s", "stall": "stall_s", "time": "time_s", "every": "every_s",
     "answer_time": "answer_time_s", "command_time": "command_time_s", "gather": "gather_s",
     "daemon_gone": "daemon_gone_s", "from": "sender",
+    "addressing": "forms",
 }  # fmt: skip
+"""Keys whose field has another name, in every table of a roster that has such a key.
+
+`changes` names the keys by it: no two keys may have a field of one name.
+"""
 _BUILT = frozenset(
     {"line", "drives", "lease", "groups", "api", "mqtt", "modbus", "notify", "journal", "state"}
 )
@@ -87,7 +92,7 @@ def _fields(entry: Fields, without: Collection[str] = ()) -> dict[str, Any]:
     What is absent gets the default of the model, and a key without a field is an error there.
     """
     return {
-        _RENAMED.get(key, key): _CONVERTED.get(key, _same)(value)
+        RENAMED.get(key, key): _CONVERTED.get(key, _same)(value)
         for key, value in entry.values.items()
         if key not in without
     }
@@ -118,7 +123,7 @@ _CONVERTED: Final[Mapping[str, Callable[[Any], Any]]] = {
     "limit": lambda given: MessageLimit(**_fields(given)),
     "tls": lambda given: TlsEntry(**_fields(given)) if isinstance(given, Fields) else given,
 }
-"""How the values of keys become those of fields, where they are not the same."""
+"""How values become those of fields, for a key of this name in every table of a roster."""
 
 
 def _lease(entry: Fields | None, default: LeaseEntry) -> LeaseEntry:

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from pydantic import BaseModel
 
+from lecombus.config.building import RENAMED
 from lecombus.config.masking import COMMAND_KEYS, MASK
 from lecombus.config.mistakes import Mistakes, Position, Spot
 from lecombus.config.yaml_nodes import MappingNode
@@ -32,8 +33,7 @@ FIXED: Final = ("line", "api", "journal", "state")
 _WITHOUT_KEY: Final = ("not_yet_used", "slow")
 """Fields that no key gives; nor does one give the `file` of the roster itself."""
 
-_RENAMED: Final[Mapping[str, str]] = {"forms": "addressing"}
-"""Keys whose field has another name, beyond the unit behind it."""
+_KEY_OF: Final[Mapping[str, str]] = {field: key for key, field in RENAMED.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,10 +112,7 @@ def roster_values(roster: Roster) -> dict[str, str]:
 
 def parts_of(model: BaseModel) -> dict[str, Any]:
     """Return the values of a model by their keys."""
-    return {
-        _RENAMED.get(field, field.removesuffix("_s")): getattr(model, field)
-        for field in fields_with_key(model)
-    }
+    return {_KEY_OF.get(field, field): getattr(model, field) for field in fields_with_key(model)}
 
 
 def fields_with_key(model: BaseModel) -> Iterator[str]:
@@ -181,7 +178,7 @@ def differing_keys(old: BaseModel, new: BaseModel) -> Iterator[str]:
     """Yield the keys by which two entries of one kind differ."""
     for field in fields_with_key(new):
         if getattr(old, field) != getattr(new, field):
-            yield _RENAMED.get(field, field.removesuffix("_s"))
+            yield _KEY_OF.get(field, field)
 
 
 def check_restart(node: MappingNode, new: Roster, running: Roster, mistakes: Mistakes) -> None:

@@ -205,7 +205,7 @@ _API: Final = Table("api", (
         "File of tokens (`lecombus token`): every request over TCP needs one. Absent: TCP answers "
         "reads of this machine."),
     Key("tls", _TLS, _TLS.doc),
-    Key("read_only", YesNo(), "Whether no door writes, except to stop.", default=False),
+    Key("read_only", YesNo(), "Whether all writes are refused, except stops.", default=False),
 ), "Where programs reach the daemon, and what they may do.")  # fmt: skip
 
 _MQTT: Final = Table("mqtt", (

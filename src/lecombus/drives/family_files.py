@@ -3,8 +3,9 @@
 A family's file names the files it includes. Lists of entries (codes, answer times, words, stops,
 shared fields) are joined; every other key must be given by exactly one of the files. No entry
 replaces another: a code described twice is a mistake, so that a family can be read off its files
-without knowing an order. Each file is validated by itself (`FamilyFile`). Then the references
-between sections are checked. The first mistake is raised with file, line and column.
+without knowing an order. The files are joined first and validated as one (`FamilyFile`), section
+after section: what names codes comes after the codes, wherever they stand. The first mistake is
+raised with file, line and column (ADR 63).
 """
 
 from __future__ import annotations

@@ -2,9 +2,10 @@
 
 Here live the two protocols (`Port`, which the loop calls, and `Receiver`, which a port calls)
 and the settings a port is opened with. A serial device, a TCP connection and the simulator all
-have the same six calls, so that the loop, its tests and the daemon know none of them.
+have the same five calls and the property `carries_parity`, so that the loop, its tests and the
+daemon know none of them.
 
-Theory of operation: a port gives bytes on as they come, in any pieces, and never interprets
+Theory of operation: a port passes bytes on as they come, in any pieces, and never interprets
 them. All calls happen on the one event loop thread. A lost port calls `Receiver.lost`
 exactly once; after `Port.abort` it calls neither `received` nor `lost`.
 """

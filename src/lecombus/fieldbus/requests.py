@@ -46,13 +46,12 @@ class Station:
 
     Args:
         name: Its name in the roster.
-        address: 1..99, not ending in 0; for a multicast the group address.
+        address: Its address on the line; for a multicast the group address.
         family: Its description, with the roster's overrides applied.
         forms: The addressing forms it is spoken to in, the preferred first.
-        hold_s: How long it is left alone after a write, seconds: with shortened response time
-            (C1921 = 1) the module acknowledges before it has passed the value on. Until it is
-            known whether it does, it is taken to.
-        answers_early: It is known to have shortened response time.
+        hold_s: How long it is left alone after a write, seconds: it may acknowledge before it has
+            taken the value over. Until it is known whether it does, it is taken to.
+        answers_early: It is known to acknowledge that early.
         answer_time_s: The roster's word on how long it thinks, seconds; None: the family's.
         measured: How long it really thinks.
     """

@@ -5,10 +5,12 @@ Each call that takes a time first ends what has lapsed by then (`advance`), so t
 no write counts after the end, however late a timer is. The ends are handed out once, by
 `take_ended`, to be carried out.
 
-A drive is latched when a lease ends without a successor, and after a start where the roster
-requires a lease: nothing that could move it is sent until a new lease is held and the drive was
-enabled with it. While it shows a stop, a setpoint cannot move it, and its holder may write one.
-Taking over keeps the drive as it is: only the token changes.
+A drive is latched when its lease lapses. A drive whose roster requires a lease is also latched when
+its lease is given up, and at a start and when a reload begins to require one. Nothing that could
+move a latched drive is sent until a new lease is held and the drive was enabled with it (a family
+without the verb `enable`: until a new lease is held). While the drive shows a stop, a setpoint
+cannot move it, and its holder may write one. Taking over keeps the drive as it is: only the token
+changes.
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ from lecombus.leases.lease_records import (
 __all__ = ["LEAST_TIME_S", "NEEDED_STOPS", "LeaseBook"]
 
 LEAST_TIME_S = 0.1
-"""A client cannot renew more often than about ten times as fast."""
+"""The shortest time of a lease, seconds: a client must be able to renew it some times within it."""
 
 NEEDED_STOPS: Mapping[Use, str] = {Use.SETPOINT: "a stop", Use.TAKE_CONTROL: "an inhibit"}
 """What a latched drive must show so that it takes a write: no motor starts by it then."""

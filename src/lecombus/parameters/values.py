@@ -8,8 +8,8 @@ Writing is canonical (no leading or trailing zeros, no point without fraction, n
 Reading takes what a drive may plausibly send, as long as it has one meaning only:
 
 * VD: 1 to 6 digits, optionally a point and 1 to 4 digits, `-` in front; leading and trailing zeros
-  (`035.40`) and a minus on zero (`-0.0`, read as 0) are taken; blanks, `+`, `5.`, `.5` and counts
-  outside a signed 32-bit count of 1/10000 are not.
+  (`035.40`) and a minus on zero (`-0.0`, read as 0) are taken. Blanks, `+`, `5.` and `.5` are not,
+  nor is a number that does not fit in 32 bits, signed, in units of 1/10000.
 * VH: `H` and 2, 4 or 8 hexadecimal digits, also small ones.
 * VS: `S` and 0 to 240 printable characters. At most 20 are ever sent to a drive.
 * VO: letter `O` and 1 to 120 pairs of hexadecimal digits. The bytes are given in wire order: the

@@ -10,6 +10,8 @@ it waits leaves an empty cell behind, which is dropped when it comes to the fron
 once the empty cells of a lane outnumber the full ones. A later setpoint takes over the cell of the
 one it supersedes: a stream of setpoints does not queue itself to the back again and again.
 
+`Expiries` keeps the requests that end by themselves at a time, of all classes.
+
 What is due, allowed or sensible is not decided here; who is held is asked of the caller.
 """
 
@@ -26,7 +28,7 @@ __all__ = ["ClassQueue", "Expiries", "Holder", "Lane"]
 
 # Empty cells a lane may have beyond its full ones before it is tidied: tidying costs O(lane), so
 # it happens at most once in as many removals.
-LITTER_LIMIT: Final = 64
+EMPTY_LIMIT: Final = 64
 
 
 class Holder(Protocol):
@@ -83,7 +85,7 @@ class ClassQueue:
         cell[1] = request.cell = None
         lane = self._lanes[request.drive]
         lane.empty += 1
-        if lane.empty > LITTER_LIMIT and 2 * lane.empty > len(lane.cells):
+        if lane.empty > EMPTY_LIMIT and 2 * lane.empty > len(lane.cells):
             lane.cells = deque(kept for kept in lane.cells if kept[1] is not None)
             lane.empty = 0
 

@@ -3,7 +3,8 @@
 A stop goes before everything else. But an exchange without answer feeds no watchdog, and after a
 few of them in a row other drives act by their own watchdogs. So:
 
-* The first telegram of a stop never waits: the drive probably receives it.
+* The first telegram of a stop does not wait for feeds: the drive probably receives it. This does
+  not hold for a drive that is offline or did not answer an earlier stop.
 * Once a drive has not answered a stop, and from the beginning where it is offline, every telegram
   of its stops must pass the slack check, with the spare for lost answers left over
   (watchdog_set.py). Until it does, the feed that is in the way goes first: that read alone, nothing

@@ -397,7 +397,7 @@ class Waiting:
     # -- heads ------------------------------------------------------------------------------------
 
     def stop(self) -> Request | None:
-        """Find the first stop: no hold keeps it back, and those of silent drives are the last."""
+        """Find the stop that goes first: no hold delays it; stops of silent drives are the last."""
         queue = self.queues[Priority.STOP]
         return queue.head(_never_held) if queue.depth else None
 

@@ -1,10 +1,9 @@
 """Where the events of a line come from: the store as it changes, and what users do to drives.
 
-Strategy: nothing here works while no event is recorded. A value is published when it reads
-otherwise than when it was published last, when its quality changes, and after `HEARTBEAT_S` in any
-case. Quality also changes by time alone, without an exchange; so `look` goes through what was
-published, about once a second, in small pieces. No reader of the stream takes a value for fresh
-that is not.
+Strategy: while the stream records no events, nothing is done here. A value is published when it
+differs from the value published last, when its quality changes, and `HEARTBEAT_S` after it was
+published last. Quality also changes with time, without an exchange. So `look` checks all published
+values about once a second, in small pieces: a value that became stale is published as stale.
 
 A value that is not read cyclically is followed until it is no longer good. Passwords are not
 published.

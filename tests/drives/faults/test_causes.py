@@ -31,6 +31,10 @@ def names(known: FailedExchange, kind: str = "8200vector") -> list[str]:
     return [one.rule.name for one in likely_causes(kind, known)]
 
 
+def test_every_family_has_causes() -> None:
+    assert {name for rule in cause_rules() for name in rule.families} == set(FAMILY_NAMES)
+
+
 def test_every_rule_names_families_there_are_and_codes_they_have() -> None:
     for rule in cause_rules():
         assert rule.families <= set(FAMILY_NAMES), rule.name

@@ -271,7 +271,7 @@ class LecomExchangeLoop:
         """Process bytes from the port."""
         now = self._time()
         if self._log is not None:
-            (self._log.stray if self.under_way is None else self._log.heard)(data)
+            (self._log.unsolicited if self.under_way is None else self._log.heard)(data)
         if self.under_way is not None:
             result = self.exchange.feed(data, now, self._looked_s)
             if result is not None:
@@ -279,7 +279,7 @@ class LecomExchangeLoop:
             elif self.exchange.disturbed:  # it waits for a gap: check for that
                 self._deadline.set(self.exchange.look_s())
             return
-        late = self._idle_receive.stray(data, now, self._preparer.gap_s)
+        late = self._idle_receive.unsolicited(data, now, self._preparer.gap_s)
         self.observer.stray_bytes(data, late)
 
     def lost(self, exc: Exception | None) -> None:

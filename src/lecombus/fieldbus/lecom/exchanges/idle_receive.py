@@ -1,14 +1,15 @@
 """Between two exchanges: when the bus may be used again, and what is received.
 
 After each answer the turnaround is kept. After an exchange without its answer nothing is sent for
-30 ms and twice the adapter's latency (quarantine): an adapter gives on what it still holds. An
+30 ms and twice the adapter's latency (quarantine): an adapter delivers what it still holds. An
 answer may come later than that; `late_answers` deals with it. Bytes received during the quarantine
 extend it, up to a limit: otherwise a line with constant noise would never send again
 (`BusIdleTimer`).
 
-What comes then (`UnsolicitedBytes`: late answers, noise, another device) is never used as a value.
-A complete read answer that was pending ends that wait: a request with the same answer may be sent
-again. If it was the only pending one, it also measures how slow its drive is (`drives.measured`).
+What comes between two exchanges (`UnsolicitedBytes`: late answers, noise, another device; their
+metric is `stray_bytes`) is never used as a value. A complete read answer that was pending ends that
+wait: a request with the same answer may be sent again. If it was the only pending one, it also
+measures how slow its drive is (`drives.measured`).
 
 A drive far slower than its manual would never be received on a busy line: the next telegram cancels
 its answer before it begins. So after a cyclic read or a probe without answer, several times in a
@@ -17,7 +18,7 @@ have come. That delays cyclic reads of other drives, and nothing else. The exten
 every watchdog can still be fed in time after it. It ends when anything but cyclic and background
 work needs the line: a stop, a control word, an urgent feed, a client's request. The next telegram
 begins with EOT, which makes a drive drop an answer that it has not sent yet (EDB2102EN 8.3). Late
-replies stay pending, and the quarantine lasts, as long as without the extension.
+answers stay pending, and the quarantine lasts, as long as without the extension.
 
 Limits: once a minute for a line, once in five minutes for a code of a drive, and less often while
 nothing arrives, because the drive is usually absent. A second time in the same minute is allowed
@@ -323,7 +324,7 @@ class IdleReceive:
         self._unsolicited.opened(parity=parity)
         self._bus_idle.opened(now_s)
 
-    def stray(self, data: bytes, now_s: float, gap_s: float) -> bool:
+    def unsolicited(self, data: bytes, now_s: float, gap_s: float) -> bool:
         """Process unsolicited bytes; return whether they completed a late answer."""
         awaited = self._awaited
         late = self._unsolicited.feed(data, now_s)

@@ -65,7 +65,7 @@ class TelegramLog:
         """Collect bytes of the answer that is awaited."""
         self._heard += data
 
-    def stray(self, data: bytes) -> None:
+    def unsolicited(self, data: bytes) -> None:
         """Collect unsolicited bytes."""
         self._heard += data
         if len(self._heard) >= MOST_UNSOLICITED:

@@ -9,7 +9,8 @@ The rule which characters make a field is `fits_field`, and only there: the pars
 character by character, everything else asks it for a whole field. Conversions are tables or
 caches, since they are on the path of every telegram.
 
-Code bank C0249 and input selection C0248 are deliberately absent: lecombus never uses them.
+Code bank C0249 and input selection C0248 are deliberately absent: no code is calculated with them.
+A drive in which one of them is not 0 is spoken to in extended addressing (`write_prechecks`).
 """
 
 from __future__ import annotations

@@ -248,7 +248,7 @@ class Exchange:
             if self._refused and self._phase is _WAIT:
                 return min(first, self._last_byte_s + ask.gap_s)
             return first
-        # Never later, however slowly characters drip in: costs and promises reckon with it.
+        # Never later, however slowly characters come in: costs and bounds count on it.
         return max(first, min(self._last_byte_s + ask.gap_s, self._said_s + ask.whole_s))
 
     def look_s(self) -> float:

@@ -13,7 +13,7 @@ to the other path for every split. What it made of bytes is kept, since drives a
 things again and again, and the same bytes always mean the same.
 
 All bytes handed back (`received`, `pending`, `tail`) are as they came, parity included. When an
-answer may begin and when it is too late is not known here: see `line`.
+answer may begin and when it is too late is not known here: see `exchange`.
 """
 
 from __future__ import annotations

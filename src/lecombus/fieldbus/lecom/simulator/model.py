@@ -3,7 +3,7 @@
 Strategy: a family subclasses `Model` and says which codes exist, what its control and status
 words mean and how long it thinks. Physical state is computed from time: `advance` moves the motor
 and lets the watchdog expire exactly at its deadline, however late it is called. The control word is
-the one home of inhibit (bit 9) and quick stop (bit 3): C0040, C0135 and the watchdog change it.
+the only place of inhibit (bit 9) and quick stop (bit 3): C0040, C0135 and the watchdog change it.
 No manual says whether a read of C0135 shows all that, or only what was written to it last: the
 simulated drives do the one or the other (`word_as_written`). Nor whether bit 3 = 0 lifts a quick
 stop that the watchdog set where it was 0 before: of the latter some do not (`only_changes`).
