@@ -13,7 +13,7 @@ from lecombus.errors import ExchangeError, NakError, NoReplyError, UnknownCodeEr
 from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob, ReadBackJob, ReadJob, WriteJob
 from lecombus.fieldbus.lecom.exchanges.late_answers import Duplicates
 from lecombus.fieldbus.lecom.exchanges.read_back_proof import WrittenValue
-from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
+from lecombus.fieldbus.lecom.exchanges.stop_job import LongestTimes, StopJob
 from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
 from lecombus.fieldbus.lecom.protocol.exchange import ACK_FIELD, Result
 from lecombus.fieldbus.lecom.protocol.telegrams import (
@@ -259,6 +259,20 @@ def test_an_inhibit_is_said_and_read_back() -> None:
     outcome, reason = job.advance(value(150, "H0080")) or (None, "")
     assert outcome is VERIFIED
     assert "C0150 reads H0080" in reason
+
+
+def test_more_proof_of_a_stop_takes_the_time_of_a_reading_and_a_repetition_that_of_a_stop() -> None:
+    times = LongestTimes(any_s=0.5, read_s=0.1)
+    job = StopJob(
+        STATION, StopAction.INHIBIT, word=lambda: None, retries=0, silent=True, times=times
+    )
+    taken = [job.longest_s(9.0)]
+    for result in (RESULTS["ack"], value(150, "H0080"), RESULTS["none"], RESULTS["ack"]):
+        assert job.advance(result) is None
+        taken.append(job.longest_s(9.0))
+    assert taken == [0.5, 0.5, 0.1, 0.5, 0.1]
+    plain = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=0)
+    assert plain.longest_s(9.0) == 9.0
 
 
 def test_a_quick_stop_with_an_unknown_word_reads_it_first_and_changes_only_its_bits() -> None:

@@ -56,6 +56,13 @@ def test_nor_upon_any_other_number_that_is_tolerated(tolerate: int, seed: int) -
     assert run_line(line).broken == ()
 
 
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("seed", [131159])
+def test_every_stop_is_proven_while_proofs_of_it_are_lost(seed: int) -> None:
+    line = tolerant_line(seed, tolerate=1, losses=1, length_s=LENGTH_S)
+    assert run_line(line).broken == ()
+
+
 def ended(drive: str, priority: Priority, *, answered: bool) -> ExchangeReport:
     step = JobStep(StepKind.READ, Code(150))
     kind = ResultKind.ANSWERED if answered else ResultKind.NO_REPLY

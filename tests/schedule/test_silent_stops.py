@@ -305,6 +305,24 @@ def test_more_proof_of_a_stop_waits_for_feeds_though_its_drive_answers() -> None
     assert ({first.drive, second.drive}, third) == ({"b", "c"}, stop)
 
 
+def test_more_proof_waits_for_no_more_room_than_feeds_can_make() -> None:
+    names = [f"d{number}" for number in range(7)]
+    world = World().drives("a", *names)
+    world.schedule.expect(FaultHypothesis(1, stop_s=0.32, stop_failed_s=0.55))
+    for name in names:
+        world.feed(name, 1.0)
+    stop = world.submit("a", P.STOP, yields=True, cost_s=0.07, worst_s=0.55)
+    feeds = world.schedule.watchdogs
+    assert stop.worst_s < feeds.most_s("a")[0] < feeds.need_s(stop)
+    world.now_s = 0.05
+    assert world.step() is stop, "feeds would make no more room than there is"
+    again = world.submit("a", P.STOP, yields=True, cost_s=0.07, worst_s=0.55)
+    world.now_s = 0.5
+    world.run(2.0)
+    between = [sent.request for sent in world.sent[1:]]
+    assert 0 < between.index(again) <= len(names), "the feeds that make room, and no more"
+
+
 def test_a_stop_that_came_later_goes_before_more_proof_and_before_feeds() -> None:
     world = World().drives("a", "b", "c")
     world.feed("b", 1.0)

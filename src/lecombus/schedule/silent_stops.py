@@ -23,7 +23,9 @@ few of them in a row other drives act by their own watchdogs. So:
 
 A drive that answers anything else is no longer silent, and its stop goes first again. Only what is
 read for more proof, when it has acknowledged the stop and shown it, waits in the same way: the plan
-counts one reading. Which stops come before which stands in waiting.py.
+counts one reading. It waits for the room that a reading needs, and for none that feeds cannot make:
+a stop may take far longer (an 820X), and each proof of it would wait a second in vain. Which stops
+come before which stands in waiting.py.
 
 Pure: the times are arguments.
 """
@@ -152,11 +154,13 @@ class SilentStops:
     def _needed_s(self, stop: Request) -> float:
         """Return how much slack it takes: its longest, and what is kept for lost answers.
 
-        Of a drive that answers no more than of any other exchange.
+        Of a drive that answers as much as of any other exchange, if there ever is so much.
         """
         feeds = self._watchdogs
-        if stop.drive not in self._waiting.silent:
-            return feeds.need_s(stop)
         most_s, _ = feeds.most_s(stop.drive)
+        if stop.drive not in self._waiting.silent:
+            need_s = feeds.need_s(stop)
+            if need_s <= most_s:
+                return need_s
         room_s = max(most_s - stop.worst_s, 0.0) / 2
         return stop.worst_s + min(feeds.lost_s(), room_s)

@@ -22,7 +22,7 @@ from lecombus.fieldbus.lecom.address_codes import address_code
 from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob, ReadBackJob, ReadJob, WriteJob
 from lecombus.fieldbus.lecom.exchanges.late_answers import Duplicates
 from lecombus.fieldbus.lecom.exchanges.read_back_proof import WrittenValue
-from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
+from lecombus.fieldbus.lecom.exchanges.stop_job import LongestTimes, StopJob
 from lecombus.fieldbus.lecom.protocol.telegrams import ACK_CHARS, write_request_chars
 from lecombus.fieldbus.lecom.telegram_costs import read_cost, write_cost
 from lecombus.fieldbus.requests import Station
@@ -276,25 +276,26 @@ class LecomRequestMaker:
         patience_s: float = STOP_PATIENCE_S,
     ) -> Request:
         """Make a request that stops one drive and proves it."""
+        times = self._longest_of_stop(station, action)
         job = StopJob(
             station, action, word=word, inhibited=inhibited, retries=self.retries, said=said,
             silent=silent, offline=offline, may_inhibit=may_inhibit, duplicates=self.duplicates,
-            patience_s=patience_s, last_word=last_word,
+            patience_s=patience_s, last_word=last_word, times=times,
         )  # fmt: skip
         usual = self._read_cost(station, station.family.stops[action].code)
         return Request(
             station.name,
             Priority.STOP,
             usual.line_s,
-            self._longest_stop_s(station, action) + self.timing.turnaround_s,
+            times.any_s,
             self._counted(Priority.STOP, settle),
             job,
             stops=(station.name,),
         )
 
-    def _longest_stop_s(self, station: Station, action: StopAction) -> float:
+    def _longest_of_stop(self, station: Station, action: StopAction) -> LongestTimes:
         """Return the longest that one telegram of a stop can hold the line, in any form."""
-        of, found = station.family, 0.0
+        of, written_s, read_s = station.family, 0.0, 0.0
         # A stop may take the drive's own address to be shown.
         for code, value in [*stop_steps(of, action), (address_code(of), None)]:
             answer_s = station.answer_s(code, write=value is not None)
@@ -303,10 +304,12 @@ class LecomRequestMaker:
                     continue
                 if value is None:
                     cost = read_cost(self.timing, of, code, form, answer_s)
+                    read_s = max(read_s, cost.worst_s)
                 else:
                     cost = write_cost(self.timing, of, code, value, form, answer_s)
-                found = max(found, cost.worst_s)
-        return found
+                    written_s = max(written_s, cost.worst_s)
+        pause_s = self.timing.turnaround_s
+        return LongestTimes(max(written_s, read_s) + pause_s, read_s + pause_s)
 
     def multicast(
         self,

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 from lecombus.drives import StopAction, confirm_codes, knows_stop, needs_control_word, stop_value
 from lecombus.drives.stops import (
@@ -48,7 +49,7 @@ from .jobs import error_of
 from .late_answers import Duplicates
 from .read_back_proof import ReadBackProof
 
-__all__ = ["StopJob"]
+__all__ = ["LongestTimes", "StopJob"]
 
 LEAST_INHIBIT_S = 1.5
 """What an inhibit in a quick stop's place is tried for at least, seconds."""
@@ -62,6 +63,18 @@ UNSHOWN_S = 1.0
 seconds: with shortened response time a 820X takes a value up 230 ms later (EDB2102EN 6.3.2)."""
 
 NO_FALLBACK = "; it was not inhibited instead: the roster says stop_fallback: none"
+
+
+class LongestTimes(NamedTuple):
+    """The longest that a telegram of a stop can hold the line, seconds.
+
+    Args:
+        any_s: Any of them.
+        read_s: Any reading: far less than the write to an 820X.
+    """
+
+    any_s: float
+    read_s: float
 
 
 class StopJob(StopWork):
@@ -87,6 +100,7 @@ class StopJob(StopWork):
         may_inhibit: A quick stop that cannot be had may become an inhibit.
         duplicates: What is known of answers that come twice on this line.
         patience_s: How long it is tried, seconds; once the drive answers: `STOP_PATIENCE_S`.
+        times: How long its telegrams take; None: not known.
     """
 
     def __init__(
@@ -104,6 +118,7 @@ class StopJob(StopWork):
         may_inhibit: bool = True,
         duplicates: Duplicates | None = None,
         patience_s: float = STOP_PATIENCE_S,
+        times: LongestTimes | None = None,
     ) -> None:
         self.station = station
         self.action = action
@@ -114,6 +129,7 @@ class StopJob(StopWork):
         self.patience_s = patience_s
         self.attempts = 0
         self.may_inhibit = may_inhibit
+        self._times = times
         self.proof: Value | None = None
         self.proof_code: Code | None = None
         self._proving = ReadBackProof(duplicates, silent=silent, offline=offline)
@@ -161,6 +177,16 @@ class StopJob(StopWork):
     def only_proves(self) -> bool:
         """Whether the drive took the stop and showed it, and only more proof of that is wanted."""
         return self._checking and self._proving.is_begun
+
+    def longest_s(self, else_s: float) -> float:
+        """Return the longest that the next telegram can hold the line, seconds.
+
+        Args:
+            else_s: Where that is not known, seconds.
+        """
+        if self._times is None:
+            return else_s
+        return self._times.read_s if self.only_proves else self._times.any_s
 
     @property
     def _is_ready(self) -> bool:
