@@ -42,7 +42,7 @@ from lecombus.api import (
     create_app,
     serve,
 )
-from lecombus.config import Mistake, Roster, RosterChanges, RosterError, load_roster
+from lecombus.config import ApiEntry, Mistake, Roster, RosterChanges, RosterError, load_roster
 from lecombus.drives import StopAction
 from lecombus.errors import LecombusError, LineClosedError, OperationError
 from lecombus.fieldbus.port import PortOpener
@@ -56,7 +56,6 @@ from lecombus.line.opening import open_port
 from lecombus.line_runtime import LineRuntime
 from lecombus.operations.actions import ACTOR
 from lecombus.operations.operation_reports import GroupReport
-from lecombus.roster import ApiEntry
 from lecombus.saved_state import Keeping
 from lecombus.supervision.journal_record import JournalRecord
 

@@ -1,4 +1,4 @@
-"""Every error lecombus raises on purpose, in one tree.
+"""The errors that several rooms share, in one tree; those of one room stand in that room.
 
 ::
 

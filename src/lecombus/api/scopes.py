@@ -3,12 +3,12 @@
 Strategy: every route is wrapped by `guarded`; a route without a row in `NEEDS` is a mistake that
 ends the start, so no call is open because it was forgotten. The guard runs behind the router: what
 it judges is the route and the parts of the path that the route will use, so that no spelling of a
-path leads past it. What a request may do is the `grant` of its `Actor`, which the door has set:
-everything over the Unix socket, reads over TCP without tokens, what the token says with them
-(`access`).
+path leads past it. What a request may do is the `grant` of its `Actor`, which the access check of
+its socket has set: everything over the Unix socket, reads over TCP without tokens, what the token
+says with them (`access`).
 
 A call whose targets stand in its body asks `require_target` itself; its row says so.
-A read-only daemon (`api.read_only`) refuses writes at every door, and no stop.
+A read-only daemon (`api.read_only`) refuses writes at every socket, and no stop.
 """
 
 from __future__ import annotations

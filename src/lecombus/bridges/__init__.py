@@ -1,6 +1,6 @@
-"""Other doors to a line than HTTP: each a process of its own, and a client of the daemon.
+"""Ways to a line beside HTTP: each a process of its own, and a client of the daemon.
 
-A bridge reads what it tells the world from the daemon (`line_follower`) and hands on what the world
-wants done as HTTP requests, so that both obey the same rules. Nothing here is imported by the
-daemon, and a bridge that dies takes nothing of the line with it.
+A bridge reads from the daemon what it publishes (`line_follower`) and sends what its users ask for
+as HTTP requests, so the same rules apply to both. The daemon imports nothing from here, and a
+bridge that ends does not disturb the line.
 """

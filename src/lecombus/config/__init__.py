@@ -18,6 +18,7 @@ from lecombus.config.keys import roster_json_schema
 from lecombus.config.loading import load_roster, parse_roster
 from lecombus.config.mistakes import Mistake, RosterError
 from lecombus.roster import (
+    ApiEntry,
     DriveEntry,
     GroupEntry,
     LeaseEntry,
@@ -29,6 +30,7 @@ from lecombus.roster import (
 
 __all__ = [
     "FIXED",
+    "ApiEntry",
     "DriveEntry",
     "GroupEntry",
     "LeaseEntry",
