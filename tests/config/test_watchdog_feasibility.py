@@ -123,8 +123,22 @@ def test_a_watchdog_shorter_than_a_drives_own_stop_is_refused() -> None:
     text = f"line: {{name: l, port: /dev/ttyS0, baud: 19200, tolerate: 0}}\ndrives:\n{drive}"
     refused = said(text.replace("TIME", "230ms"))
     assert len(refused) == 1
-    assert "one exchange with this drive, such as its stop, takes 237ms" in refused[0]
+    assert "1 feed (51ms) behind a write, after which a is left alone (467ms)" in refused[0]
     proposed = re.search(r"a time of (\S+) or more", refused[0])
+    assert proposed is not None
+    assert find_infeasible(parsed(text.replace("TIME", proposed[1]))) == []
+
+
+def test_a_watchdog_shorter_than_one_exchange_with_its_drive_is_refused() -> None:
+    """A module takes half a second for its own codes."""
+    text = (
+        "line: {name: l, port: /dev/ttyS0, baud: 19200, tolerate: 0}\ndrives:\n"
+        "  - {name: a, address: 11, family: 821x, cyclic: [{code: C1923, every: 10s}], "
+        "watchdog: {time: TIME, action: inhibit}}\n"
+    )
+    (refused,) = said(text.replace("TIME", "500ms"))
+    assert "one exchange with this drive, such as its stop, takes 5" in refused
+    proposed = re.search(r"a time of (\S+) or more", refused)
     assert proposed is not None
     assert find_infeasible(parsed(text.replace("TIME", proposed[1]))) == []
 
@@ -137,18 +151,18 @@ def mixed(slow: str, fast: str, *, slow_first: bool = True) -> str:
         f"  - {{name: fast, address: 2, family: smvector, {guard.format(fast)}}}",
     ]
     listed = "\n".join(drives if slow_first else drives[::-1])
-    return f"line: {{name: l, port: 'sim:', tolerate: 0}}\ndrives:\n{listed}\n"
+    return f"line: {{name: l, port: 'sim:', baud: 2400, tolerate: 0}}\ndrives:\n{listed}\n"
 
 
 @pytest.mark.parametrize("slow_first", [True, False])
 def test_the_stop_of_the_drive_with_the_shortest_watchdog_stands_before_the_others(
     slow_first: bool,
 ) -> None:
-    """540 ms or 541 ms for the other: what is said to the first does not feed the second."""
-    refused = said(mixed("540ms", "541ms", slow_first=slow_first))
-    assert "one stop (296ms)" in refused[0]
-    assert said(mixed("540ms", "540ms", slow_first=slow_first))
-    parsed(mixed("700ms", "701ms", slow_first=slow_first))
+    """1000 or 1001 ms for the other: what is said to the first does not feed the second."""
+    refused = said(mixed("1000ms", "1001ms", slow_first=slow_first))
+    assert "one stop (377ms)" in refused[0]
+    assert said(mixed("1000ms", "1000ms", slow_first=slow_first))
+    parsed(mixed("1200ms", "1201ms", slow_first=slow_first))
 
 
 def test_whatever_time_is_proposed_does() -> None:
@@ -195,16 +209,18 @@ def test_a_lost_stop_of_an_820x_that_the_last_tenth_does_not_hold_takes_room_of_
     for text in said(three("708ms")):
         assert "cannot be held at 19200 baud if 1 answer is lost" in text
         assert "a stop (283ms, or 535ms without an answer)" in text
-        assert "a time of 940ms or more" in text
-    roster = parsed(three("933ms"))
-    assert make_plan(roster).watchdogs[0].least_s == pytest.approx(0.926, abs=0.0015)
+        assert "a time of 1.2s or more" in text
+    roster = parsed(three("1150ms"))
+    assert make_plan(roster).watchdogs[0].least_s == pytest.approx(0.892, abs=0.0015)
     assert make_plan(roster).watchdogs[0].lost == 1
 
 
 def test_a_stop_that_is_lost_while_another_drive_is_left_alone_takes_room() -> None:
-    """The 820X is not fed for 230 ms after a write; a stop of another one is lost then."""
-    for text in said(three("932ms")):
-        assert "or a write, after which d79 is left alone (275ms)" in text
+    """The 820X takes 230 ms to stop and is left alone for 230 ms; then another's stop is lost."""
+    refused = said(three("1100ms"))
+    assert refused
+    for text in refused:
+        assert "or a write, after which d79 is left alone (467ms)" in text
 
 
 def test_check_names_a_watchdog_that_lost_answers_of_its_own_stop_may_let_act() -> None:

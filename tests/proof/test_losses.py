@@ -42,6 +42,7 @@ def test_no_watchdog_acts_upon_as_many_lost_answers_as_are_tolerated(seed: int) 
     ("tolerate", "seed"),
     [
         *itertools.product((0, 2, 3), (1, 18, 36)),
+        (0, 130627),
         (2, 875),
         (2, 3004),
         (2, 3072),

@@ -123,10 +123,14 @@ def own_alone_s(drive: DriveEntry, timing: LineTiming) -> float:
     """Give for how long a drive is not fed from the beginning of a write on, seconds.
 
     A module that acknowledges early is left alone then; whether it does is known only when it was
-    asked. Zero for a family that is not left alone.
+    asked. Until then one that acknowledges when it has done the write, the longest of them the
+    write that stops it, is left alone after that as well. Zero for a family that is not left alone.
     """
-    hold_s = family(drive.family).hold_after_write_s
-    return hold_s + feed_times(drive, timing).usual_s if hold_s > 0.0 else 0.0
+    of = family(drive.family)
+    if of.hold_after_write_s <= 0.0:
+        return 0.0
+    stops = [write_times(drive, *stop_value(of, one, 0), timing).usual_s for one in of.stops]
+    return of.hold_after_write_s + max(feed_times(drive, timing).usual_s, *stops)
 
 
 def stop_s(drive: DriveEntry, timing: LineTiming) -> float:

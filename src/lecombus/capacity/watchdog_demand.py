@@ -167,7 +167,7 @@ class WatchdogDemand:
             lost: How many are lost; None: as many as must be outlasted.
         """
         lost = self.tolerate if lost is None else lost
-        found = find_overload(self.streams, 0.0)
+        found = find_overload(self._behind_writes(), 0.0)
         if found is None and lost and self.streams:
             found = find_overload(self._behind_lost(lost), 0.0) or self._no_room(lost)
         if found is None and load_of(self.streams) > FULL:
@@ -175,6 +175,18 @@ class WatchdogDemand:
             demand_s = load_of(self.streams) * first.every_s
             return Overload(first.every_s, demand_s, first.blocked_s, first.name)
         return found
+
+    def _behind_writes(self) -> tuple[Stream, ...]:
+        """Give the streams without lost answers: behind an exchange, or behind an own write.
+
+        After a write a drive is left alone, and a stop of another drive may come then; it may use
+        the last tenth.
+        """
+        return tuple(
+            replace(one, blocked_s=max(one.blocked_s, alone_s + max(others.stop_s - tenth_s, 0.0)))
+            for one, others, alone_s in zip(self.streams, self.others, self.alone_s, strict=True)
+            for tenth_s in (one.every_s * (1.0 - HARD_PART) / HARD_PART,)
+        )
 
     def _behind_lost(self, lost: int) -> tuple[Stream, ...]:
         """Give the streams with lost answers, and what else may come before each once.

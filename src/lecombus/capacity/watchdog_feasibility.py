@@ -98,27 +98,28 @@ def _arithmetic(drive: DriveEntry, demand: WatchdogDemand, overload: Overload, b
     counted = sum(1 for stream in demand.streams if stream.every_s <= overload.within_s + 1e-9)
     feeds = "1 feed" if counted == 1 else f"the feeds of {counted} drives"
     before = demand.before(overload.whose)
-    behind, lost = "", ""
+    behind, lost = [], ""
     if demand.overload(lost=0) is None:
         lost = f" if {_answers(demand.tolerate)} lost"
         stop, failed = _ms(demand.faults.stop_s), _ms(demand.faults.stop_failed_s)
-        behind = (
-            f" behind {_ms(overload.blocking_s)}: an exchange, {_lost_answers(demand.tolerate)} "
+        behind = [
+            f"{_ms(overload.blocking_s)}: an exchange, {_lost_answers(demand.tolerate)} "
             f"({_ms(demand.lost_s)} each), and as far as the last tenth of the shortest time does "
             f"not hold them a stop ({stop}, or {failed} without an answer) and the feed before"
-        )
-        alone_s = demand.alone(overload.whose)
-        if alone_s > 0.0:
-            behind += f" or a write, after which {overload.whose} is left alone ({_ms(alone_s)})"
+        ]
     elif before:
-        behind = (
-            f" behind one exchange that fails ({_ms(under_way_s(before))}) and one stop "
+        behind = [
+            f"one exchange that fails ({_ms(under_way_s(before))}) and one stop "
             f"({_ms(longest_stop_s(before))})"
-        )
+        ]
+    alone_s = demand.alone(overload.whose)
+    if alone_s > 0.0:
+        behind.append(f"a write, after which {overload.whose} is left alone ({_ms(alone_s)})")
+    after = f" behind {' or '.join(behind)}" if behind else ""
     return (
         f"a watchdog of {format_duration(time_s)} cannot be held at {baud} baud{lost}: within "
         f"{_ms(overload.within_s)} the line would have to carry {feeds} ({_ms(overload.demand_s)})"
-        f"{behind}"
+        f"{after}"
     )
 
 
@@ -228,11 +229,12 @@ def watchdog_plans(roster: Roster, timing: LineTiming) -> list[WatchdogPlan]:
     demand = demand_of(roster, timing)
     plans, lost = [], _lost(demand)
     restart_s = RESTART_S + sum(feed_times(one, timing).usual_s for one in roster.drives)
-    known: dict[tuple[float, float, float, float], tuple[float | None, float | None]] = {}
+    known: dict[tuple[float, ...], tuple[float | None, float | None]] = {}
     for number, drive in enumerate(demand.drives):
         stream = demand.streams[number]
         low_s = max(lowest_s(drive), demand.own_s[number] / HARD_PART)
-        alike = (stream.cost_s, stream.every_s, stream.blocked_s, low_s)
+        alone_s = demand.alone_s[number]
+        alike = (stream.cost_s, stream.every_s, stream.blocked_s, low_s, alone_s)
         if alike not in known:
             known[alike] = (
                 _least(demand, number, low_s, None),
