@@ -80,6 +80,11 @@ def test_every_default_of_the_line_is_documented() -> None:
             assert cells[1] == str(line[name]["default"]).lower(), name
 
 
+def test_the_first_page_names_every_family() -> None:
+    named = next(line for line in README.splitlines() if line.startswith("Families: "))
+    assert set(quoted(named)) == set(FAMILY_NAMES)
+
+
 def test_documented_setpoints_may_be_written() -> None:
     told = {name: cells[-1] for cells in rows(DRIVES, "## Families")
             for name in quoted(cells[0])}  # fmt: skip

@@ -17,6 +17,7 @@ from compare.requests import corpus, get
 from compare.rosters import RIGHT, WRONG, written
 from compare.trees import ROOT, Side
 from lecombus.cli.entry import COMMANDS
+from lecombus.drives import FAMILY_NAMES
 
 pytestmark = pytest.mark.clock
 
@@ -155,3 +156,4 @@ def test_the_corpora_are_large_and_each_entry_stands_once() -> None:
 def test_every_command_is_asked() -> None:
     """A command that is new and not listed would never be compared."""
     assert set(commands.COMMANDS) >= set(COMMANDS)
+    assert commands.FAMILIES == FAMILY_NAMES

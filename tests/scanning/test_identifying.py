@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from lecombus.drives import FAMILY_NAMES
 from lecombus.fieldbus.lecom.scanning import FoundDrive, FoundWatchdog
 from lecombus.fieldbus.lecom.scanning.identifying import identify
 from lecombus.fieldbus.lecom.simulator import SimDrive, SimLine, build
@@ -36,9 +37,7 @@ def without(family: str, *numbers: int) -> SimLine:
     return SimLine([drive], baud=9600)
 
 
-@pytest.mark.parametrize(
-    "family", ["820x", "821x", "822x", "824x", "8200vector", "93xx", "smvector"]
-)
+@pytest.mark.parametrize("family", [name for name in FAMILY_NAMES if name != "generic"])
 def test_every_family_is_told_from_the_others(family: str) -> None:
     found = identified(family)
     assert (found.family, found.certain) == (family, True)
