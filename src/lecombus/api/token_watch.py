@@ -22,7 +22,7 @@ __all__ = ["LOOK_S", "TokenWatch"]
 logger = logging.getLogger(__name__)
 
 LOOK_S: Final = 1.0
-"""From one look at the file to the next, seconds; a revoked token is refused from then on."""
+"""From one look at the file to the next, seconds: a revoked token is refused by then."""
 
 Mark = tuple[int, ...] | None
 

@@ -1,9 +1,9 @@
 """What messages are sent of: conditions of a line and its drives that begin and end.
 
 Pure: the clocks are arguments. Trips, lost drives and the lost line are read from the follower's
-picture after each event, so that none is missed. The lapse of a lease is read from its event, and
-from the picture when the daemon is back. While the daemon is away, no other condition begins or
-ends; all are compared when it is back.
+picture after each event: one that lasts a moment is seen, and so is one whose event was missed. The
+lapse of a lease is read from its event, and from the picture when the daemon is back. While the
+daemon is away, no other condition begins or ends; all are compared when it is back.
 
 A missed watchdog has no event: the daemon counts it in its metrics (`watchdog_missed`). It has no
 end either.
