@@ -4,7 +4,8 @@ One loss follows the other: the first when the watchdogs have least time left fo
 is under way (on a line whose clients ask seldom, only then); the others hit what goes out directly
 after it, which by then is mostly feeds. Then
 none for as long as the longest watchdog time. An exchange that leaves no room for that many at any
-time, such as a read of a module's own slow codes, is hit alone, or not at all. Half of the answers
+time, such as a read of a module's own slow codes, is hit alone, or not at all; where only a stop
+besides is too much, the burst that it begins ends with the first stop. Half of the answers
 are lost on the way back; else the drive has not heard the question, and is not fed by it.
 """
 
@@ -121,6 +122,7 @@ class Losses:
         self._random = Random(line.seed + 2)
         self._time_s = max(watched_s(drive) or 0.0 for drive in line.roster.drives)
         self._left = 0  # of this burst
+        self._ends_by_stop = False  # this burst
         self._next_s = 0.0
         self._least_s = float("inf")
         self._least_at_s = 0.0
@@ -132,8 +134,11 @@ class Losses:
         if now_s < self._next_s:
             return
         too_long = not self._left and self._leaves_no_room()
-        if not self._left and self._is_worst(now_s):
+        if self._left and self._ends_by_stop and self._is_stop():
+            self._end_burst(now_s)
+        elif not self._left and self._is_worst(now_s):
             self._left = 1 if too_long else self._count
+            self._ends_by_stop = self._leaves_no_room(stops=1)
         elif too_long:
             self._next_s = now_s + self._time_s
         if self._left and address % 10:
@@ -142,11 +147,23 @@ class Losses:
             heard = self._random.random() < 0.5
             self._sim.drive_faults[address] = Faults(lost=1.0) if heard else Faults(unheard=1.0)
             if not self._left:
-                self._next_s = now_s + self._time_s
-                self._least_s = float("inf")
+                self._end_burst(now_s)
 
-    def _leaves_no_room(self) -> bool:
-        """Whether what is sent leaves no room for what is tolerated, whenever it begins."""
+    def _end_burst(self, now_s: float) -> None:
+        self._left = 0
+        self._next_s = now_s + self._time_s
+        self._least_s = float("inf")
+
+    def _is_stop(self) -> bool:
+        under_way = lecom_loop(self._site.worker).under_way
+        return under_way is not None and under_way[0].priority is Priority.STOP
+
+    def _leaves_no_room(self, *, stops: int = 0) -> bool:
+        """Whether what is sent leaves no room for what is tolerated, whenever it begins.
+
+        Args:
+            stops: That are answered besides, and wait for nothing.
+        """
         tolerate = self._site.schedule.watchdogs.faults.tolerate
         under_way = lecom_loop(self._site.worker).under_way
         feeds = self._site.schedule.watchdogs
@@ -155,6 +172,7 @@ class Losses:
         cost_s, worst_s = under_way[0].cost_s, under_way[0].worst_s
         lost_s = max(feed.worst_s for feed in feeds.by_drive.values())
         needed_s = (tolerate - 1) * lost_s + max(worst_s, cost_s + lost_s)
+        needed_s += stops * feeds.faults.stop_s
         return needed_s > feeds.most_s(under_way[0].drive)[0] + LAST_PART * feeds.shortest_s()
 
     def _is_worst(self, now_s: float) -> bool:

@@ -58,6 +58,12 @@ def test_nor_upon_any_other_number_that_is_tolerated(tolerate: int, seed: int) -
 
 
 @pytest.mark.timeout(300)
+def test_lost_answers_behind_a_long_read_end_with_a_stop_that_there_is_no_room_for() -> None:
+    line = tolerant_line(200077, tolerate=3, losses=3, length_s=60.0)
+    assert run_line(line).broken == ()
+
+
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize("seed", [131159])
 def test_every_stop_is_proven_while_proofs_of_it_are_lost(seed: int) -> None:
     line = tolerant_line(seed, tolerate=1, losses=1, length_s=LENGTH_S)
