@@ -507,8 +507,33 @@ def test_a_word_of_more_than_16_bits_is_no_control_word() -> None:
 def test_a_word_that_may_not_be_read_now_makes_an_inhibit_of_the_quick_stop() -> None:
     job = StopJob(STATION, StopAction.QUICK_STOP, word=lambda: None, retries=1)
     assert job.step.kind is StepKind.READ
-    assert [job.cannot_read(), job.cannot_read()] == [True, False]
+    assert job.instead_of_reading_s(0.0, 0.4) == 0.0
     assert job.step == JobStep(StepKind.WRITE, Code(40), Value.parse("0"))
+
+
+@pytest.mark.parametrize(
+    ("results", "hold_s", "at_s", "until_s", "after_s"),
+    [
+        ("none", 0.0, 0.1, 0.6, 0.1),
+        ("none", 0.0, 0.5, 1.0, 0.0),
+        ("none", 0.23, 0.1, 0.6, 0.23),
+        ("none", 0.0, 0.1, 0.2, None),  # the reading may be soon
+        ("none", 0.0, 5.02, 10.0, None),  # it is no longer repeated
+        ("ack", 0.0, 0.02, 0.52, 0.1),  # an old acknowledgement may have come
+        ("ack shown", 0.0, 0.02, 0.52, None),
+    ],
+)
+def test_a_stop_is_said_again_while_its_proof_may_not_be_read(
+    *, results: str, hold_s: float, at_s: float, until_s: float, after_s: float | None
+) -> None:
+    station = dataclasses.replace(STATION, hold_s=hold_s)
+    job = StopJob(station, StopAction.INHIBIT, word=lambda: None, retries=0, silent=True)
+    for name in results.split():
+        job.advance(value(150, "H0080") if name == "shown" else RESULTS[name])
+    assert job.step.kind is StepKind.READ
+    found_s = job.instead_of_reading_s(at_s, until_s)
+    assert found_s == (None if after_s is None else pytest.approx(after_s))
+    assert job.step.kind is (StepKind.READ if after_s is None else StepKind.WRITE)
 
 
 def test_a_quick_stop_is_said_directly_after_its_word_was_read_but_else_lets_others_go() -> None:
@@ -782,4 +807,4 @@ def test_nor_does_one_whose_word_cannot_be_read(result: str) -> None:
 def test_nor_one_whose_word_may_not_be_read_now() -> None:
     job = hoist(None)
     assert job.step.code == Code(135)
-    assert not job.cannot_read()
+    assert job.instead_of_reading_s(0.0, 0.4) is None

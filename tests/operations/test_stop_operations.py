@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 
 import anyio
 import anyio.lowlevel
@@ -308,6 +309,30 @@ def test_a_drive_that_was_deaf_for_two_seconds_is_stopped_all_the_same() -> None
         assert plant.line["a"].text(40) == "0"
 
     with_plant(test, ROSTER)
+
+
+@pytest.mark.parametrize("retries", [0, 2])
+@pytest.mark.parametrize("kind", ["8200vector", "smvector"])
+def test_a_deaf_drive_is_stopped_as_soon_also_where_answers_may_come_very_late(
+    kind: str, retries: int
+) -> None:
+    """A proof whose answer was lost may not be read for 10 s, and kept the stop back so long."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.line.drive_faults[11] = Faults(unheard=1.0)
+        said, since_s = len(plant.end.sent), plant.now_s
+        stopping = asyncio.create_task(plant.site.operations.stop(INHIBIT, "a"))
+        await anyio.sleep(2.0)
+        plant.line.drive_faults.clear()
+        await anyio.sleep(0.6)
+        assert plant.line["a"].model.inhibited()
+        await stopping
+        at_s = [one.at_s - since_s for one in plant.end.sent[said:] if b"\x02" in one.data]
+        assert max(b - a for a, b in itertools.pairwise(at_s[:10])) < 0.6
+
+    line = f"late_answer: 10s, retries: {retries}"
+    with_plant(test, roster_text([("a", 11, kind)], drive="", line=line))
 
 
 def test_many_stops_of_one_drive_are_said_as_few_and_all_are_told() -> None:

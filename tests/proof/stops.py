@@ -4,27 +4,33 @@
   telegram begins within the plan's wait, as `plan --from-daemon` reckons it. Stops of other drives
   that came before add their line time, and a daemon that is not run the time for which it is not.
 * Before a stop of a drive that is known to be silent nothing goes but stops and feeds, and every
-  telegram of it begins within what the plan promises for that.
+  telegram of it begins within what the plan promises for that; a reading counts from when it may be
+  sent: in each form of which an answer is missing, when that can no longer come (`late_answer`).
 
 Judged by the reports of the exchanges: they tell in which class each was, and when it began.
 """
 
 from __future__ import annotations
 
-from collections import Counter
+import math
+from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lecombus.capacity.plan import Promises, make_promises
 from lecombus.drives.stops import STOP_PAUSE_S
 from lecombus.fieldbus.loop_interface import ExchangeReport, ResultKind
+from lecombus.fieldbus.requests import StepKind
 from lecombus.line_runtime import LineRuntime
+from lecombus.parameters import Code
 from lecombus.schedule import Priority
 from proof.lines import RandomLine
 
 __all__ = ["Stops"]
 
 GOES_BEFORE = {Priority.STOP, Priority.WATCHDOG}
+MOST_FORMS = 2
+"""In so many addressing forms a code is read at most."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +62,7 @@ class Stops:
         self._asked: Counter[str] = Counter()  # stops of a drive that have not ended
         self._unsaid: dict[str, _Waiting] = {}  # drives whose stop has not begun
         self._silent: dict[str, _Waiting] = {}  # drives whose stop waits though nobody is there
+        self._lost_reads: dict[Code, deque[float]] = defaultdict(lambda: deque(maxlen=MOST_FORMS))
         self._before: dict[float, str] = {}  # telegrams that went before a silent drive's stop
         self._stopped_s = 0.0  # line time of stops
         self._others_s = 0.0  # line time of stops and of exchanges that failed
@@ -147,9 +154,12 @@ class Stops:
         stop = report.priority is Priority.STOP
         waiting = self._silent.pop(report.drive, None) if stop else None
         if waiting is not None:
-            self._judge_silent(report.drive, waiting, result.started_s)
+            since_s = max(waiting.since_s, self._readable_from_s(report))
+            self._judge_silent(report.drive, replace(waiting, since_s=since_s), result.started_s)
         ended_s = result.ended_s + report.quarantined_s
         answered = result.kind is ResultKind.ANSWERED
+        if not answered and report.step.kind is StepKind.READ:
+            self._lost_reads[report.step.code].append(result.ended_s)
         if stop or not answered:
             self._others_s += ended_s - result.started_s
             self._others += 1
@@ -159,6 +169,22 @@ class Stops:
             )
         elif answered:
             self._silent.pop(report.drive, None)
+
+    def _readable_from_s(self, report: ExchangeReport) -> float:
+        """Give from when on a reading may be sent: an answer in its form may still be missing.
+
+        It carries no address, so that of another drive counts too. While it is missing in one form,
+        none is asked for in that form: of each there is one at most.
+        """
+        step = report.step
+        drive = next((one for one in self._line.roster.drives if one.name == report.drive), None)
+        if step.kind is not StepKind.READ or drive is None:
+            return -math.inf
+        forms = sum(form.carries(step.code) for form in drive.forms)
+        lost = self._lost_reads[step.code]
+        if len(lost) < forms:
+            return -math.inf
+        return lost[-forms] + self._line.roster.line.late_answer_s
 
     def _judge_silent(self, name: str, waiting: _Waiting, now_s: float) -> None:
         """Each of the others' stops may let a round of feeds go first, as this one does."""

@@ -88,3 +88,8 @@ def test_a_line_whose_watchdogs_check_refuses_by_milliseconds_gets_longer_ones()
 def test_an_exchange_is_held_to_the_printed_plan_where_the_adapter_is_slow() -> None:
     """Seed 71336: with 8 ms more for each answer a plan refuses reads that the schedule begins."""
     assert run_line(line_of(71336, 120.0)).broken == ()
+
+
+def test_more_proof_of_a_stop_is_held_to_the_plan_from_when_it_may_be_read() -> None:
+    """Seed 130875: noise took a reading in both forms; the stop had been shown before."""
+    assert run_line(line_of(130875, 60.0)).broken == ()

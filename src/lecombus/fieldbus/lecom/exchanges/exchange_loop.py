@@ -389,8 +389,12 @@ class LecomExchangeLoop:
         if job.asks_for_word:
             self._publish()  # the job uses the control word as of the last exchange
         prepared = self._preparer.ask(job, now, urgent=True)
-        if type(prepared) is float and job.cannot_read():
-            prepared = self._preparer.ask(job, now, urgent=True)
+        if not isinstance(prepared, PreparedTelegram):
+            pause_s = job.instead_of_reading_s(now, prepared)
+            if pause_s:
+                return now + pause_s
+            if pause_s is not None:
+                prepared = self._preparer.ask(job, now, urgent=True)
         return prepared
 
     def _begin(self, prepared: PreparedTelegram, now: float, loss: LineLostError | None) -> None:

@@ -10,7 +10,8 @@ manual says that it shows more than was last written to it.
 Strategy: send it, read it back, and repeat both while the proof is missing, whether the drive reads
 as not stopped or does not answer. Time is the limit, not a number of attempts: a line that received
 nothing for a second is no reason to leave a running drive running. After the first few attempts
-there are pauses, in which the watchdogs of the others are fed.
+there are pauses, in which the watchdogs of the others are fed. Where nothing may be read because an
+old answer may still come, it is sent again.
 
 A quick stop that is not possible becomes an inhibit, with the reason: when the control word cannot
 be read, when the drive refuses the telegram again and again, when it takes it and does not show it.
@@ -23,6 +24,7 @@ every standard telegram to another code, and none in extended addressing (EDB210
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
@@ -135,6 +137,7 @@ class StopJob(StopWork):
         self._proving = ReadBackProof(duplicates, silent=silent, offline=offline)
         self.error: ExchangeError | None = None
         self._since_s: float | None = None
+        self._ended_s = -math.inf  # its last exchange
         self._checking = said
         self._least_sayings = LEAST_STOP_ATTEMPTS - said
         self._learning = False
@@ -208,19 +211,34 @@ class StopJob(StopWork):
         fresh = self._is_ready or max(self.attempts, self._failed_reads) <= self.retries
         return 0.0 if fresh else STOP_PAUSE_S
 
-    def cannot_read(self) -> bool:
-        """Record that nothing may be read now; return whether something can be sent instead."""
-        if self._learning and self.may_inhibit:
+    def instead_of_reading_s(self, now_s: float, until_s: float) -> float | None:
+        """Go on with something that can be sent where nothing may be read before a time.
+
+        A drive that has not shown the stop may not have heard it, and an old answer may be waited
+        for much longer than a stop is repeated: it is sent again then, after a pause.
+
+        Returns:
+            After how long that can be sent, seconds; None: the reading is waited for.
+        """
+        if self._learning:
+            if not self.may_inhibit:
+                return None
             code = self.step.code
             self._inhibit(f"needs {code}, which may not be read now: an old answer may still come")
-            return True
-        return False
+            return 0.0
+        pause_s = max(self.station.hold_s, STOP_PAUSE_S)
+        over = self._since_s is not None and now_s - self._since_s >= self.patience_s
+        if self._proving.is_begun or until_s - now_s <= pause_s or over:
+            return None
+        self._checking, self._step = False, None
+        return max(self._ended_s + pause_s - now_s, 0.0)
 
     def advance(self, result: Result) -> Verdict:
         """Go from learning the word to saying the stop, and on to its proof."""
         step, self._step = self.step, None
         if self._since_s is None:
             self._since_s = result.started_s
+        self._ended_s = result.ended_s
         if result.kind is ResultKind.ANSWERED:
             self.patience_s, self._unread_word = STOP_PATIENCE_S, None
         else:
