@@ -23,7 +23,7 @@ from .rosters import line_of
 
 LINES = [
     line_of(1),
-    line_of(5, time="1.3s"),
+    line_of(5, time="1.2s"),
     line_of(12, time="3s", baud=19200),
     line_of(31, time="4s", baud=19200),
     line_of(8, time=""),

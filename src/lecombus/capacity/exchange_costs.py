@@ -119,18 +119,22 @@ def own_longest_s(drive: DriveEntry, timing: LineTiming) -> float:
     return max(*reads, *stops)
 
 
-def own_alone_s(drive: DriveEntry, timing: LineTiming) -> float:
+def own_alone_s(drive: DriveEntry, timing: LineTiming) -> tuple[float, float]:
     """Give for how long a drive is not fed from the beginning of a write on, seconds.
 
     A module that acknowledges early is left alone then; whether it does is known only when it was
-    asked. Until then one that acknowledges when it has done the write, the longest of them the
-    write that stops it, is left alone after that as well. Zero for a family that is not left alone.
+    asked. Until then one that acknowledges when it has done the write is left alone as well.
+
+    Returns:
+        After a write that is acknowledged soon, and after the longest write that stops it; zero for
+        a family that is not left alone.
     """
     of = family(drive.family)
-    if of.hold_after_write_s <= 0.0:
-        return 0.0
+    hold_s, soon_s = of.hold_after_write_s, feed_times(drive, timing).usual_s
+    if hold_s <= 0.0:
+        return 0.0, 0.0
     stops = [write_times(drive, *stop_value(of, one, 0), timing).usual_s for one in of.stops]
-    return of.hold_after_write_s + max(feed_times(drive, timing).usual_s, *stops)
+    return hold_s + soon_s, hold_s + max(soon_s, *stops)
 
 
 def stop_s(drive: DriveEntry, timing: LineTiming) -> float:

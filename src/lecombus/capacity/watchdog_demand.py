@@ -132,7 +132,7 @@ class WatchdogDemand:
         lost_s: What one feed that is not answered costs at most, seconds.
         own_s: For each watched drive, its own longest exchange: nothing else feeds it then.
         alone_s: For each watched drive, how long it is not fed from the beginning of a write on,
-            because it is left alone after that.
+            because it is left alone after that (`own_alone_s`).
         faults: The lost answers within any watchdog time that all watchdogs must outlast, and the
             stops for which the running schedule keeps room.
     """
@@ -144,7 +144,7 @@ class WatchdogDemand:
     lost_s: float
     own_s: tuple[float, ...]
     faults: FaultHypothesis
-    alone_s: tuple[float, ...]
+    alone_s: tuple[tuple[float, float], ...]
 
     @property
     def tolerate(self) -> int:
@@ -158,7 +158,7 @@ class WatchdogDemand:
     def alone(self, drive: str) -> float:
         """Give for how long a drive is not fed from the beginning of a write on, seconds."""
         names = [one.name for one in self.streams]
-        return self.alone_s[names.index(drive)]
+        return self.alone_s[names.index(drive)][1]
 
     def overload(self, *, lost: int | None = None) -> Overload | None:
         """Find where the feeds do not fit when answers are lost within a watchdog time.
@@ -167,26 +167,37 @@ class WatchdogDemand:
             lost: How many are lost; None: as many as must be outlasted.
         """
         lost = self.tolerate if lost is None else lost
-        found = find_overload(self._behind_writes(), 0.0)
+        found = find_overload(self.streams, 0.0) or self._left_alone(0)
         if found is None and lost and self.streams:
-            found = find_overload(self._behind_lost(lost), 0.0) or self._no_room(lost)
+            found = (
+                find_overload(self._behind_lost(lost), 0.0)
+                or self._left_alone(lost)
+                or self._no_room(lost)
+            )
         if found is None and load_of(self.streams) > FULL:
             first = min(self.streams, key=_every)
             demand_s = load_of(self.streams) * first.every_s
             return Overload(first.every_s, demand_s, first.blocked_s, first.name)
         return found
 
-    def _behind_writes(self) -> tuple[Stream, ...]:
-        """Give the streams without lost answers: behind an exchange, or behind an own write.
+    def _left_alone(self, lost: int) -> Overload | None:
+        """Find a drive whose watchdog does not outlast its own write, with another's stop behind.
 
-        After a write a drive is left alone, and a stop of another drive may come then; it may use
-        the last tenth.
+        The line feeds others while it is left alone after that; one of these feeds may be under way
+        when the stop comes. The stop may use the last tenth.
         """
-        return tuple(
-            replace(one, blocked_s=max(one.blocked_s, alone_s + max(others.stop_s - tenth_s, 0.0)))
-            for one, others, alone_s in zip(self.streams, self.others, self.alone_s, strict=True)
-            for tenth_s in (one.every_s * (1.0 - HARD_PART) / HARD_PART,)
-        )
+        feeds = {one.name: one.cost_s for one in self.streams}
+        for one, others, (_, alone_s) in zip(self.streams, self.others, self.alone_s, strict=True):
+            tenth_s = one.every_s * (1.0 - HARD_PART) / HARD_PART
+            stop_s = max(others.stop_s - tenth_s, 0.0)
+            if lost:
+                faults, _ = self._losing(lost)
+                stop_s = (lost - 1) * self.lost_s + faults.stop_behind_s(self.lost_s, tenth_s)
+            other_s = max((cost_s for name, cost_s in feeds.items() if name != one.name), default=0)
+            if alone_s and alone_s + other_s + stop_s + one.cost_s > one.every_s + ROUNDING_S:
+                demand_s = sum(each.before(one.every_s) for each in self.streams)
+                return Overload(one.every_s, demand_s, alone_s + other_s + stop_s, one.name)
+        return None
 
     def _behind_lost(self, lost: int) -> tuple[Stream, ...]:
         """Give the streams with lost answers, and what else may come before each once.
@@ -199,7 +210,7 @@ class WatchdogDemand:
         more_s = (lost - 1) * self.lost_s
         stop_s = more_s + faults.stop_behind_s(self.lost_s, tenth_s)
         found = []
-        for one, others, alone_s in zip(self.streams, self.others, self.alone_s, strict=True):
+        for one, others, (alone_s, _) in zip(self.streams, self.others, self.alone_s, strict=True):
             need_s = faults.need_s(others.answered_s, others.failed_s, self.lost_s, tenth_s)
             behind_s = max(need_s, others.answered_s + stop_s + one.cost_s, alone_s + stop_s)
             found.append(replace(one, blocked_s=behind_s))
@@ -337,7 +348,7 @@ def _put_together(
     own_s: tuple[float, ...],
     lost_s: float,
     faults: FaultHypothesis,
-    alone_s: tuple[float, ...],
+    alone_s: tuple[tuple[float, float], ...],
 ) -> WatchdogDemand:
     """Give each stream the longest delay by all drives but its own."""
     others = _others(delays, [one.name for one in streams])

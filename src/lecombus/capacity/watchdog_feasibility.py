@@ -234,7 +234,7 @@ def watchdog_plans(roster: Roster, timing: LineTiming) -> list[WatchdogPlan]:
         stream = demand.streams[number]
         low_s = max(lowest_s(drive), demand.own_s[number] / HARD_PART)
         alone_s = demand.alone_s[number]
-        alike = (stream.cost_s, stream.every_s, stream.blocked_s, low_s, alone_s)
+        alike = (stream.cost_s, stream.every_s, stream.blocked_s, low_s, *alone_s)
         if alike not in known:
             known[alike] = (
                 _least(demand, number, low_s, None),
