@@ -408,6 +408,26 @@ def test_a_stop_whose_lost_answer_others_do_not_outlast_does_not_go_before_them_
     assert fired(world, "a") == []
 
 
+@pytest.mark.parametrize("tolerate", [2, 3])
+@pytest.mark.parametrize("time_s", [1.25, 1.5, 2.0])
+def test_a_stop_lost_behind_a_long_write_that_was_lost_makes_no_watchdog_act(
+    tolerate: int, time_s: float
+) -> None:
+    world = World().drives("a", "b", "c")
+    world.schedule.expect(FaultHypothesis(tolerate, stop_s=0.296, stop_failed_s=0.544))
+    world.feed("c", time_s, cost_s=0.05, worst_s=0.18)
+    write = world.request("b", P.CONTROL, cost_s=0.25, worst_s=0.544)
+    need_s = world.schedule.watchdogs.need_s(write)
+    world.now_s = HARD_PART * time_s - 0.05 - need_s - 1e-6
+    world.schedule.submit(write, world.now_s)
+    world.silent = {"a", "b"}
+    assert world.step() is write, "at the last moment at which there is room"
+    stop = world.submit("a", P.STOP, cost_s=0.25, worst_s=0.544)
+    assert world.step() is stop
+    world.run(world.now_s + 1.0)
+    assert fired(world) == []
+
+
 @pytest.mark.parametrize("lost", [["b"], ["b", "b"], ["c"], ["c", "c"], ["b", "c"]])
 @pytest.mark.parametrize("after_ms", range(0, 300, 30))
 def test_a_stop_that_was_lost_does_not_go_again_before_a_late_drive_whose_watchdog_can_be_kept(

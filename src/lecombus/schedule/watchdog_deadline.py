@@ -29,9 +29,10 @@ class FaultHypothesis:
 
     An exchange is begun only if the watchdogs outlast what may be lost from then on. If its own
     answer is lost, it takes its longest, and all but one of the lost answers that are tolerated may
-    be those of the feeds after it; a stop may follow, too. If it is answered, all the lost answers
-    that are tolerated may be those of the feeds after it. A stop does not wait; it and its lost
-    answer may use the last tenth of a watchdog time, and room is kept for what that does not hold.
+    be those of the feeds after it; a stop may follow, too, and its answer be one of them. If it is
+    answered, all the lost answers that are tolerated may be those of the feeds after it. A stop
+    does not wait; it and its lost answer may use the last tenth of a watchdog time, and room is
+    kept for what that does not hold.
     With none to be tolerated an exchange is begun if the watchdogs outlast its own lost answer. One
     for which there is never room together with one lost answer and a stop is not begun; where there
     is never room for all that are tolerated, it is begun when there is most (`watchdog_set`).
@@ -64,7 +65,7 @@ class FaultHypothesis:
         """
         if not self.tolerate:
             return worst_s
-        failed_s = (self.tolerate - 1) * lost_s + worst_s + max(self.stop_s - tenth_s, 0.0)
+        failed_s = worst_s + self.left_s(self.tolerate - 1, lost_s, tenth_s)
         return max(failed_s, cost_s + self.behind_s(lost_s, tenth_s))
 
     def least_room_s(self, cost_s: float, worst_s: float, lost_s: float, tenth_s: float) -> float:
