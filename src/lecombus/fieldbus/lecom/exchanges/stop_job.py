@@ -138,8 +138,7 @@ class StopJob(StopWork):
         self.error: ExchangeError | None = None
         self._since_s: float | None = None
         self._ended_s = -math.inf  # its last exchange
-        self._checking = said
-        self._least_sayings = LEAST_STOP_ATTEMPTS - said
+        self._checking, self._least_sayings = said, LEAST_STOP_ATTEMPTS - said
         self._learning = False
         self._read_word: int | None = None  # read for the telegram that comes next
         self._read_inhibit: bool | None = None  # likewise
