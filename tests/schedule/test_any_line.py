@@ -212,3 +212,29 @@ def test_a_stop_while_a_drive_is_left_alone_after_a_write_makes_no_watchdog_act(
     world.silent = set()
     world.run(world.now_s + 3.0)
     assert lapsed(world) == []
+
+
+@pytest.mark.parametrize("tolerate", [0, 1])
+@pytest.mark.parametrize("seed", range(10))
+def test_members_of_a_multicast_that_are_left_alone_after_it_are_fed_in_time(
+    seed: int, tolerate: int
+) -> None:
+    """It feeds none of them, and each is left alone for 230 ms after it."""
+    world, _ = of_820x("a", "b", tolerate=tolerate)
+    random_ = random.Random(seed)
+    world.run(world.now_s + random_.random())
+    for _ in range(6):
+        for name in "ab":
+            for _ in range(random_.randrange(12)):
+                world.submit(name, P.INTERACTIVE, cost_s=0.045, worst_s=0.15)
+        write = world.submit(
+            "g", P.CONTROL, cost_s=0.26, worst_s=0.26, members=("a", "b"), writes=True,
+            hold_s=HOLD_S,
+        )  # fmt: skip
+        while not write.attempts and not write.settled:
+            world.run(world.now_s + 0.005)
+        if write.attempts:
+            for name in "ab":
+                world.schedule.hold(name, world.now_s + HOLD_S, world.now_s)
+        world.run(world.now_s + 2.0 * random_.random())
+    assert lapsed(world) == []

@@ -102,7 +102,11 @@ class WatchdogSet:
 
         Limited to the slack that can occur; otherwise a fitting exchange would never begin.
         """
-        need_s = self.faults.need_s(request.cost_s, request.worst_s, *self._losses())
+        # A multicast feeds no drive, and its members are left alone after it.
+        hold_s = request.hold_s if request.members else 0.0
+        need_s = self.faults.need_s(
+            request.cost_s + hold_s, request.worst_s + hold_s, *self._losses()
+        )
         most_s = self._most.get(request.drive)
         if most_s is None:
             most_s = self._most[request.drive] = self.most_s(request.drive)[0]

@@ -350,6 +350,7 @@ class LecomRequestMaker:
             stops=stops,
             writes=not stops,
             members=tuple(one.name for one in members),
+            hold_s=max((one.hold_s for one in members), default=0.0),
             expires_at_s=expires_at_s,
         )
 
