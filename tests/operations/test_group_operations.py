@@ -23,8 +23,10 @@ from operations.groups import (
     SETPOINT,
     STATUS,
     WORD,
+    WRITABLE,
     written,
 )
+from support.rosters import roster_text
 from support.site_host import Plant, until, with_plant
 
 
@@ -197,3 +199,32 @@ def test_groups_that_do_not_exist_are_named_with_those_that_do() -> None:
         assert {info.name for info in plant.site.operations.groups()} == {"teens", "two", "all"}
 
     with_plant(test, ROSTER)
+
+
+@pytest.mark.parametrize(
+    ("time_ms", "code", "how"),
+    [
+        (1104, SETPOINT, "multicast"),
+        (1104, ENABLE, "one-by-one"),
+        (1400, ENABLE, "multicast"),
+    ],
+)
+def test_a_group_is_written_to_one_by_one_where_the_watchdogs_leave_no_room_for_a_multicast(
+    time_ms: int, code: Code, how: str
+) -> None:
+    """It feeds no drive, and two 820X may be left alone after it; C0040 takes them 230 ms, too."""
+    roster = roster_text(
+        [("a", 1, "820x"), ("b", 2, "820x")], drive=WRITABLE,
+        watchdog=f"{{time: {time_ms}ms, action: quick-stop, configure: true}}",
+        sections="groups: {all: {multicast: yes}}",
+    )  # fmt: skip
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await anyio.sleep(10.0)
+        report = await plant.site.operations.write_group("all", code, 1, verify=True)
+        assert (report.how, report.outcome) == (how, Outcome.VERIFIED)
+        await anyio.sleep(5.0)
+        assert [plant.line[name].model.watchdog_fired for name in "ab"] == [0, 0]
+
+    with_plant(test, roster)

@@ -2,8 +2,9 @@
 
 A group's write goes out as one multicast when its members are exactly the roster's drives of one
 decade or all of them (`config` decides that once, `check` shows it), the roster says that no other
-drive hears it (`multicast: yes`) or it is a stop, and every member wants the same telegram;
-otherwise one telegram after another. A multicast has no answer, so its members are read back.
+drive hears it (`multicast: yes`) or it is a stop, every member wants the same telegram, and the
+watchdogs leave room for it; otherwise one telegram after another. A multicast has no answer, so
+its members are read back.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from lecombus.operations.operation_reports import (
 from lecombus.operations.wear import wears
 from lecombus.operations.writes import Writes
 from lecombus.parameters import Code, Value
-from lecombus.schedule import Outcome, Priority
+from lecombus.schedule import Outcome, Priority, ignore_end
 from lecombus.schedule.fan_out import least_order
 
 __all__ = ["GroupWrites"]
@@ -102,11 +103,8 @@ class GroupWrites:
             # They may have changed during the read.
             stations, wires = self._permitted_all(group, code, value)
         there = self._unless_stopped(stations, code, there, marks)
-        address = self._address(group, stations, code, wires)
-        if any(one is not None and one.outcome is Outcome.SUPERSEDED for one in there):
-            address = None  # one telegram would reach those that were stopped too
-        form = None if address is None else self._maker.shared_form(stations, code)
-        if address is None or form is None or len({wire.raw for wire in wires}) != 1:
+        to = self._shared(group, stations, code, wires, there)
+        if to is None:
             read_back = bool(verify)
             waits = self._submit_each(stations, code, wires, there, expires_at_s, verify=read_back)
             each = [
@@ -117,7 +115,6 @@ class GroupWrites:
             ]
             each = await self._context.diagnosis.explain_all(each, stations, wires)
             return group_report(group, "one-by-one", each)
-        to = Station(group, address, stations[0].family, (form,))
         reports = await self._write_shared(to, stations, code, wires[0], expires_at_s, verify)
         return group_report(group, "multicast", reports)
 
@@ -139,6 +136,30 @@ class GroupWrites:
             stopped_first(one.name, code) if one.name in stopped else known
             for one, known in zip(stations, there, strict=True)
         ]
+
+    def _shared(
+        self,
+        group: str,
+        stations: tuple[Station, ...],
+        code: Code,
+        wires: Sequence[Value],
+        there: Sequence[WriteReport | None],
+    ) -> Station | None:
+        """Give whom one telegram for all is sent to, None where each is written to.
+
+        One telegram would reach those that were stopped, too. And it feeds no watchdog: where these
+        never leave room for it, single writes, which feed their drives, still fit.
+        """
+        address = self._address(group, stations, code, wires)
+        form = self._maker.shared_form(stations, code)
+        stopped = any(one is not None and one.outcome is Outcome.SUPERSEDED for one in there)
+        if address is None or form is None or stopped or len({wire.raw for wire in wires}) != 1:
+            return None
+        to = Station(group, address, stations[0].family, (form,))
+        request = self._maker.multicast(
+            to, stations, code, wires[0], Priority.INTERACTIVE, settle=ignore_end
+        )
+        return None if self._context.requests.worker.schedule.never(request) else to
 
     def _address(
         self, group: str, stations: Sequence[Station], code: Code, wires: Sequence[Value]

@@ -117,6 +117,10 @@ class Schedule(DriveTable):
         """Return the stops that wait."""
         return self._waiting.queues[Priority.STOP].waiting()
 
+    def never(self, request: Request) -> str:
+        """Return why a request would never be begun beside the watchdogs; empty: it would."""
+        return self._watchdogs.never(request)
+
     # -- requests coming in -----------------------------------------------------------------------
 
     def submit(self, request: Request, now_s: float) -> None:

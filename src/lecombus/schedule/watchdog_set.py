@@ -102,15 +102,22 @@ class WatchdogSet:
 
         Limited to the slack that can occur; otherwise a fitting exchange would never begin.
         """
-        # A multicast feeds no drive, and its members are left alone after it.
-        hold_s = request.hold_s if request.members else 0.0
-        need_s = self.faults.need_s(
-            request.cost_s + hold_s, request.worst_s + hold_s, *self._losses()
-        )
+        need_s = self._whole_need_s(request)
         most_s = self._most.get(request.drive)
         if most_s is None:
             most_s = self._most[request.drive] = self.most_s(request.drive)[0]
         return self._waited_for_s(request, need_s, most_s, self._least_room_s(request))
+
+    def _whole_need_s(self, request: Request) -> float:
+        """Return how much slack it takes to begin an exchange, also where there never is so much.
+
+        A multicast is not answered and feeds no drive, and its members are left alone after it. All
+        lost answers and the stop may come behind that.
+        """
+        if request.members:
+            behind_s = self.faults.left_s(self.faults.tolerate, *self._losses())
+            return request.worst_s + request.hold_s + behind_s
+        return self.faults.need_s(request.cost_s, request.worst_s, *self._losses())
 
     def _waited_for_s(
         self, request: Request, need_s: float, most_s: float, least_s: float
@@ -133,8 +140,11 @@ class WatchdogSet:
     def _least_room_s(self, request: Request) -> float:
         """Return how much slack there must be at some time for an exchange, or it is not begun.
 
-        Where measured times count, room for its own lost answer is enough: they may be wrong.
+        Where measured times count, room for its own lost answer is enough: they may be wrong. A
+        multicast takes all of its room: its members can be spoken to one by one instead.
         """
+        if request.members:
+            return self._whole_need_s(request)
         if request.documented is not None or self.is_measured:
             return request.worst_s
         return self.least_room_s(request.cost_s, request.worst_s)
@@ -365,7 +375,12 @@ class WatchdogSet:
         most_s, whose = self.most_s(request.drive)
         if request.worst_s > most_s:
             takes = f"hold the line for {request.worst_s:.3f} s"
-        elif (need_s := self._least_room_s(request)) > most_s + ROUNDING_S:
+        elif (need_s := self._least_room_s(request)) > most_s + ROUNDING_S and request.members:
+            takes = (
+                f"keep feeds waiting for {need_s:.3f} s with the time its members are left "
+                f"alone, a stop behind it and {self.faults.tolerate} lost answers"
+            )
+        elif need_s > most_s + ROUNDING_S:
             takes = f"keep feeds waiting for {need_s:.3f} s with a stop behind it and a lost answer"
         else:
             return ""
