@@ -79,6 +79,8 @@ class Clients:
                         tasks.start_soon(self._reads, Priority.INTERACTIVE)
                 for drive in self._drives[:WRITERS] if self._line.is_saturated else ():
                     tasks.start_soon(self._writes, drive)
+                if self._line.kind == "tolerant" and self._line.is_saturated:
+                    tasks.start_soon(self._writes_groups)
             if self._line.storms:
                 tasks.start_soon(self._weather)
             if self._line.kind == "absent":
@@ -101,8 +103,11 @@ class Clients:
             deeds.append(self._enable)
         if self._line.kind == "faulty" or not any(drive.watchdog for drive in self._drives):
             deeds.append(self._stop_group)  # of stops at once the watchdogs outlast one
+        if self._line.kind == "tolerant":
+            deeds.append(self._write_group)
         if self._line.is_idle:
             deeds += [self._write_then_stop, self._read_slow_then_stop] * 3
+            deeds += [self._write_group_then_stop] * 3
         while await self._pause(0.0, 3.0):
             await self._random.choice(deeds)()
 
@@ -117,6 +122,10 @@ class Clients:
             await self._write_setpoint(drive)
             if now() == asked_s:  # refused, unsaid
                 await self._pause(1.0, 1.0)
+
+    async def _writes_groups(self) -> None:
+        while await self._pause(0.0, 1.0):
+            await self._write_group()
 
     async def _read_idly(self) -> None:
         await self._read(Priority.BACKGROUND)
@@ -157,8 +166,30 @@ class Clients:
 
     async def _write_setpoint(self, drive: DriveEntry, expires_s: float = EXPIRY_S) -> None:
         """Write a setpoint that this drive has not had for long: it tells whose it is."""
-        code = Code({"smvector": 140, "93xx": 141}.get(drive.family, 46))
-        await self._write_one(drive, code, self.next_value(drive), expires_s)
+        await self._write_one(drive, _setpoint_of(drive), self.next_value(drive), expires_s)
+
+    async def _write_group(self) -> None:
+        """Write a setpoint to drives that have it at the same code, by one telegram if it fits."""
+        named = {drive.name: drive for drive in self._drives}
+        groups = {
+            name: [named[member] for member in entry.members]
+            for name, entry in sorted(self._line.roster.groups.items())
+        }
+        alike = [name for name, of in groups.items() if len({*map(_setpoint_of, of)}) == 1]
+        if not alike:
+            return
+        group = self._random.choice(alike)
+        members = groups[group]
+        self._seen.asked()
+        try:
+            report = await self._site.operations.write_group(
+                group, _setpoint_of(members[0]), self.next_value(members[0]), expires_s=EXPIRY_S,
+                verify=self._random.random() < 0.3,
+            )  # fmt: skip
+        except LecombusError as exc:
+            self._seen.answered(type(exc).__name__)
+        else:
+            self._seen.answered(report.outcome)
 
     def next_value(self, drive: DriveEntry) -> Decimal:
         """Give a value that the drive has not had for long."""
@@ -213,6 +244,13 @@ class Clients:
         await self._write()
         if await self._pause(0.0, self._stops_apart_s / STOPS_APART):
             await self._stop_some()
+
+    async def _write_group_then_stop(self) -> None:
+        """Stop a drive up to a watchdog time after a group's write, or while that waits."""
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(self._write_group)
+            if await self._pause(0.0, self._stops_apart_s):
+                await self._stop_some()
 
     async def _read_slow_then_stop(self) -> None:
         """Read what takes a module half a second, if there is room for that, and stop a drive."""
@@ -335,6 +373,10 @@ class Clients:
             self._sim[drive.name].power_cycle(now_s, 0.0)
             self._seen.lost_power(drive.name)
         self._sim.faults.absent.discard(drive.address)
+
+
+def _setpoint_of(drive: DriveEntry) -> Code:
+    return Code({"smvector": 140, "93xx": 141}.get(drive.family, 46))
 
 
 def _edge_of(drive: DriveEntry) -> Decimal:

@@ -234,16 +234,26 @@ def _read(
             keys.append(f"watchdog: {{time: {time}, action: quick-stop, configure: true}}")
         own[f"d{address}"] = ", ".join(keys)
     named = [(f"d{address}", address, kind) for address, kind in drives]
-    return make_roster(named, baud=None, line=head, drive=cyclic, own=own, sections=_groups(drives))
+    return make_roster(
+        named, baud=None, line=head, drive=cyclic, own=own, sections=groups_of(drives)
+    )
 
 
-def _groups(drives: list[tuple[int, str]]) -> str:
-    """Make a group of each decade of addresses: one telegram reaches its members."""
+def groups_of(drives: list[tuple[int, str]], *, multicast: bool = False) -> str:
+    """Make a group of each decade of addresses: one telegram reaches its members.
+
+    Args:
+        drives: Address and family of each.
+        multicast: Writes to them, and to all drives, are one telegram as well.
+    """
     decades: dict[int, list[str]] = {}
     for address, _ in drives:
         decades.setdefault(address // 10, []).append(f"d{address}")
-    entries = [f"  g{at}: {{members: [{', '.join(names)}]}}\n" for at, names in decades.items()]
-    return f"groups:\n{''.join(entries)}"
+    more = ", multicast: yes" if multicast else ""
+    rows = [f"  g{at}: {{members: [{', '.join(names)}]{more}}}" for at, names in decades.items()]
+    if multicast:
+        rows.append("  all: {multicast: yes}")
+    return "\n".join(["groups:", *rows, ""])
 
 
 def _shortest_s(drive: DriveEntry, roster: Roster) -> float:

@@ -22,7 +22,7 @@ from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.fieldbus.lecom.simulator.line import SimLine
 from lecombus.line_runtime import LineRuntime
 from lecombus.schedule import Priority
-from proof.lines import ADDRESSES, FAMILIES, RandomLine
+from proof.lines import ADDRESSES, FAMILIES, RandomLine, groups_of
 from support.lecom_loop import lecom_loop
 from support.rosters import make_roster
 
@@ -91,6 +91,7 @@ def tolerant_line(seed: int, *, tolerate: int, losses: int, length_s: float) -> 
             [(f"d{address}", address, kind) for address, kind in drives],
             baud=baud, line=f"tolerate: {tolerate}", drive=few,
             watchdog=f"{{time: {time_ms}ms, action: quick-stop, configure: true}}",
+            sections=groups_of(drives, multicast=True),
         )  # fmt: skip
 
     while (least_s := least_time_s(demand_of(roster(60000)), all_alike=True)) is None:
@@ -183,7 +184,8 @@ class Losses:
         if request.priority is Priority.STOP or self._idle:
             hit = STOP_LOST_IDLE if self._idle else STOP_LOST
             return request.priority is Priority.STOP and self._random.random() < hit
-        left_s = self._site.schedule.watchdogs.slack_s(now_s) - request.worst_s
+        alone_s = request.hold_s if request.members else 0.0  # it feeds none of them
+        left_s = self._site.schedule.watchdogs.slack_s(now_s) - request.worst_s - alone_s
         if now_s > self._least_at_s + LEARNT_IN * self._time_s:
             self._least_s = float("inf")
         if left_s < self._least_s:
