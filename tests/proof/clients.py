@@ -79,7 +79,7 @@ class Clients:
                         tasks.start_soon(self._reads, Priority.INTERACTIVE)
                 for drive in self._drives[:WRITERS] if self._line.is_saturated else ():
                     tasks.start_soon(self._writes, drive)
-                if self._line.kind == "tolerant" and self._line.is_saturated:
+                if self._line.writes_groups:
                     tasks.start_soon(self._writes_groups)
             if self._line.storms:
                 tasks.start_soon(self._weather)
@@ -103,11 +103,10 @@ class Clients:
             deeds.append(self._enable)
         if self._line.kind == "faulty" or not any(drive.watchdog for drive in self._drives):
             deeds.append(self._stop_group)  # of stops at once the watchdogs outlast one
-        if self._line.kind == "tolerant":
-            deeds.append(self._write_group)
         if self._line.is_idle:
             deeds += [self._write_then_stop, self._read_slow_then_stop] * 3
-            deeds += [self._write_group_then_stop] * 3
+            if self._line.writes_groups:
+                deeds += [self._write_group_then_stop] * 3
         while await self._pause(0.0, 3.0):
             await self._random.choice(deeds)()
 

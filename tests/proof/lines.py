@@ -116,6 +116,11 @@ class RandomLine:
         return self.seed % 12 == 5
 
     @property
+    def writes_groups(self) -> bool:
+        """Whether clients also write to groups."""
+        return False
+
+    @property
     def is_told_apart(self) -> bool:
         """Whether no answer comes twice, or later than the roster's `late_answer` says.
 

@@ -39,6 +39,8 @@ LONGER, LONGEST = 1.6, 4.0
 codes, which take half a second."""
 STOP_LOST, STOP_LOST_IDLE = 0.3, 0.7
 """Part of the stops whose answer is lost, where other answers are lost too and where none are."""
+GROUPS_FROM = 150_000
+"""The first line on which clients write to groups."""
 LEARNT_IN = 3.0
 """Watchdog times after which the least seen is forgotten: the load has changed."""
 
@@ -64,6 +66,14 @@ class TolerantLine(RandomLine):
     def is_idle(self) -> bool:
         """Whether one client asks for one thing after the other, and mostly feeds go."""
         return self.idle
+
+    @property
+    def writes_groups(self) -> bool:
+        """Whether clients also write to groups by multicast, on the others than idle ones often.
+
+        They do so from a seed on: earlier lines stay those on which something was found.
+        """
+        return self.seed >= GROUPS_FROM and self.seed // 64 % 2 == 1
 
     @property
     def is_saturated(self) -> bool:

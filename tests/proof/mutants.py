@@ -90,6 +90,14 @@ MUTANTS: dict[str, Mutant] = {
         "end_s = now_s",
         (18, 46),
     ),
+    "no room for the time for which the members of a multicast are left alone": Mutant(
+        WatchdogSet,
+        "_whole_need_s",
+        "request.worst_s + request.hold_s + behind_s",
+        "request.worst_s",
+        (152529, 150723),
+        tolerate=0,
+    ),
     "a feed is counted from the end of its exchange": Mutant(
         Schedule,
         "finished",
