@@ -69,16 +69,18 @@ class TolerantLine(RandomLine):
 
     @property
     def writes_groups(self) -> bool:
-        """Whether clients also write to groups by multicast, on the others than idle ones often.
-
-        They do so from a seed on: earlier lines stay those on which something was found.
-        """
-        return self.seed >= GROUPS_FROM and self.seed // 64 % 2 == 1
+        """Whether clients also write to groups by multicast: often, but on idle lines."""
+        return has_groups(self.seed)
 
     @property
     def is_saturated(self) -> bool:
         """Whether clients also write setpoints as fast as they are done."""
         return self.seed % 2 == 0
+
+
+def has_groups(seed: int) -> bool:
+    """Whether a line has groups: half have, from a seed on. Earlier ones stay what they were."""
+    return seed >= GROUPS_FROM and seed // 64 % 2 == 1
 
 
 def tolerant_line(seed: int, *, tolerate: int, losses: int, length_s: float) -> TolerantLine:
@@ -101,7 +103,7 @@ def tolerant_line(seed: int, *, tolerate: int, losses: int, length_s: float) -> 
             [(f"d{address}", address, kind) for address, kind in drives],
             baud=baud, line=f"tolerate: {tolerate}", drive=few,
             watchdog=f"{{time: {time_ms}ms, action: quick-stop, configure: true}}",
-            sections=groups_of(drives, multicast=True),
+            sections=groups_of(drives, multicast=True) if has_groups(seed) else "",
         )  # fmt: skip
 
     while (least_s := least_time_s(demand_of(roster(60000)), all_alike=True)) is None:
