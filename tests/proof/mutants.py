@@ -111,7 +111,7 @@ MUTANTS: dict[str, Mutant] = {
         "_fit",
         "total_s += feed.cost_s",
         "total_s += feed.cost_s * (feed.drive != drive)",
-        (246,),
+        (49, 246),
         tolerate=2,
     ),
     "a write feeds for longer than a read": Mutant(
