@@ -12,11 +12,12 @@ from lecombus.capacity.exchange_costs import Times, feed_times, read_times, watc
 from lecombus.capacity.plan import make_plan
 from lecombus.capacity.waits import LATENESS_S
 from lecombus.capacity.watchdog_demand import faults_of
-from lecombus.capacity.work_ahead import NO_EXCHANGE
+from lecombus.capacity.work_ahead import NO_EXCHANGE, feeds_of, work_ahead_on
 from lecombus.config import Roster, line_timing
 from lecombus.drives.measured import SlowAnswers
 from lecombus.parameters import Code
 from lecombus.schedule import Cyclic, Outcome, Priority, Request, Schedule, WatchdogFeeding
+from lecombus.schedule.schedule import ROOMS_PER_FEED
 from proof.lines import line_of as random_line
 
 from .rosters import line_of
@@ -238,6 +239,33 @@ def test_a_long_read_beside_different_watchdogs_is_promised_the_time_to_make_roo
     assert waits["interactive"].quiet_s > 12.763 + 2 * plan.room.round_s
     assert waits["interactive"].loaded_s >= waits["interactive"].quiet_s
     assert waits["control"].loaded_s >= waits["control"].quiet_s
+
+
+def test_what_may_be_lost_behind_a_read_counts_in_the_room_that_it_waits_for() -> None:
+    """A read of 0.26 s waited 11.6 s for 0.44 s of room on this line; 5.6 s had been promised."""
+    roster = random_line(141424, 60.0).roster
+    ahead = work_ahead_on(roster, line_timing(roster.line))
+    room = ahead.room
+    assert ahead.read.times.worst_s < room.sure_s < room.need_s(ahead.read.times) < room.most_s
+    waits = {one.name: one for one in make_plan(roster).waits}
+    assert waits["interactive"].quiet_s > ROOMS_PER_FEED * room.round_s
+    assert waits["control"].quiet_s > ROOMS_PER_FEED * room.round_s
+
+
+@pytest.mark.parametrize("tolerate", [0, 1, 2, 3])
+def test_the_room_that_is_counted_for_an_exchange_is_what_the_schedule_waits_for(
+    tolerate: int,
+) -> None:
+    roster = line_of(5, time="20s", baud=9600)
+    line = roster.line.model_copy(update={"tolerate": tolerate})
+    roster = roster.model_copy(update={"line": line})
+    timing = line_timing(roster.line)
+    room, feeds = work_ahead_on(roster, timing).room, feeds_of(roster, timing)
+    for times in (Times(0.05, 0.1, 0.2), Times(0.6, 0.7, 0.7)):
+        request = Request(
+            "other", Priority.INTERACTIVE, times.usual_s, times.worst_s, lambda *_: None
+        )
+        assert room.need_s(times) == pytest.approx(feeds.need_s(request))
 
 
 @pytest.mark.parametrize("seed", [65280, 66184])

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from lecombus.capacity.demand_bound import Stream, load_of, response_s
 from lecombus.schedule import Priority, Request, WatchdogFeeding
-from lecombus.schedule.watchdog_deadline import HARD_PART, WatchdogDeadline
+from lecombus.schedule.watchdog_deadline import HARD_PART, FaultHypothesis, WatchdogDeadline
 from lecombus.schedule.watchdog_set import WatchdogSet
 from schedule.world import World
 
@@ -103,6 +103,30 @@ def test_slots_run_early_to_feed_do_not_cost_cyclic_its_share() -> None:
     begun = world.starts(lambda request: request.drive == "asked")
     assert begun, "it was never served"
     assert begun[0] - 10.0 < 8.0
+
+
+@pytest.mark.parametrize("priority", [P.CONTROL, P.INTERACTIVE, P.BACKGROUND])
+@pytest.mark.parametrize("stop_s", [0.34, 0.36, 0.38])
+def test_feeds_do_not_undo_the_room_that_is_made_beside_watchdogs_of_two_lengths(
+    priority: Priority, stop_s: float
+) -> None:
+    """Short ones are due again while long ones are fed; seed 141424 of the proof waited 11.6 s."""
+    world = World(lasts_s=0.048)
+    world.schedule.expect(FaultHypothesis(1, stop_s, stop_s))
+    drives = [(f"s{at}", 1.634) for at in range(13)] + [(f"l{at}", 6.533) for at in range(38)]
+    for name, time_s in drives:
+        world.run(world.now_s + 0.15)  # not all are due together
+        world.drives(name).feed(name, time_s, cost_s=0.054, worst_s=0.183)
+    waits_s = []
+    for at in range(10):
+        world.run(20.0 * at + 30.0)
+        asked_s, asked = world.now_s, world.submit(f"l{at}", priority, cost_s=0.06, worst_s=0.187)
+        world.run(asked_s + 19.0)
+        begun_s = [sent.at_s for sent in world.sent if sent.request is asked]
+        assert begun_s, "it was never served"
+        waits_s.append(begun_s[0] - asked_s)
+    assert max(waits_s) < 1.5 * world.schedule.watchdogs.round_s()
+    assert sum(one.misses for one in world.schedule.stats(world.now_s).feeds.values()) == 0
 
 
 def _any_feasible(random: Random, count: int, *, alike: bool) -> tuple[WatchdogSet, float] | None:

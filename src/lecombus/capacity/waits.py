@@ -140,7 +140,7 @@ def _control(ahead: WorkAhead) -> ClassWait:
         quiet_s = response_s(0.0, _lost_s(ahead, ahead.own), _pressing(ahead, quiet_s + own_s))
         text = "the exchange under way, not answered, and feeds that may be due just then"
     loaded_s = response_s(0.0, _lost_s(ahead, ahead.any_exchange), ahead.feeds)
-    room_s = _unsure_room_s(ahead, ahead.control.times.worst_s)
+    room_s = _unsure_room_s(ahead, ahead.control)
     quiet_s, loaded_s = max(quiet_s, room_s), max(loaded_s, room_s)
     return ClassWait("control", quiet_s + LATENESS_S, loaded_s + LATENESS_S, own_s, text)
 
@@ -150,7 +150,7 @@ def _interactive(ahead: WorkAhead) -> ClassWait:
     once_s = _lost_s(ahead, ahead.own) + turn_s
     quiet_s = response_s(0.0, once_s, _pressing(ahead, once_s + ahead.read.times.worst_s))
     loaded_s = response_s(0.0, _lost_s(ahead, ahead.any_exchange) + turn_s, ahead.feeds)
-    room_s = _unsure_room_s(ahead, ahead.read.times.worst_s)
+    room_s = _unsure_room_s(ahead, ahead.read)
     quiet_s, loaded_s = max(quiet_s, room_s), max(loaded_s, room_s)
     return ClassWait(
         "interactive", quiet_s + LATENESS_S, loaded_s + LATENESS_S, ahead.read.takes_s,
@@ -229,25 +229,25 @@ def _crowded(ahead: WorkAhead, which: Priority, usual_s: float) -> float:
     one_s = max(one.times.usual_s for one in longest)
     lost_s = _lost_s(ahead, ahead.any_exchange)
     earned_s = usual_s / CLASS_SHARES[which]
-    rooms_s = _rooms_s(ahead, turns, one_s, ahead.any_exchange.times.worst_s)
+    rooms_s = _rooms_s(ahead, turns, one_s, ahead.room.need_s(ahead.any_exchange.times))
     alone_s = KEPT_AFTER_S + 2.0 * ahead.alone_s if ahead.alone_s else 0.0
     return earned_s + lost_s + turns * one_s + rooms_s + alone_s
 
 
-def _rooms_s(ahead: WorkAhead, turns: int, one_s: float, worst_s: float) -> float:
+def _rooms_s(ahead: WorkAhead, turns: int, one_s: float, need_s: float) -> float:
     """Bound what feeds take while so many exchanges go, and one more is to begin.
 
     Making room takes a round of the line at most where watchdogs are alike, and else, for exchanges
-    up to half of what there is ever room for, two rounds with all that falls due during them
-    (tests/schedule/test_starvation.py tries it). After a round there is room for exchanges until
-    the slack is down to the longest of them again: where watchdogs are alike no drive is fed twice
-    before that.
+    that need up to half of the room that there ever is, two rounds with all that falls due during
+    them (tests/schedule/test_starvation.py tries it). After a round there is room for exchanges
+    until the slack is down to the room that the longest needs again: where watchdogs are alike no
+    drive is fed twice before that.
 
     Args:
         ahead: What can go before a request.
         turns: How many exchanges.
         one_s: The longest, answered, seconds.
-        worst_s: The longest, not answered, seconds.
+        need_s: The room that the longest needs (`Room.need_s`), seconds.
     """
     room = ahead.room
     if not ahead.feeds:
@@ -255,26 +255,25 @@ def _rooms_s(ahead: WorkAhead, turns: int, one_s: float, worst_s: float) -> floa
     pressing_s = turns * max(one.cost_s for one in ahead.feeds)
     if not room.alike:
         once_s = 2.0 * response_s(0.0, 0.0, ahead.feeds)
-        if worst_s > room.sure_s:  # it is put off in the end
+        if need_s > room.sure_s:  # it is put off in the end
             once_s = max(once_s, ROOMS_PER_FEED * room.round_s)
         return (turns + 1) * once_s + pressing_s
-    left_s = room.most_s - max(worst_s, ahead.spare_s)
+    left_s = room.most_s - max(need_s, ahead.spare_s)
     rounds = turns + 1.0
     if left_s > 0.0:
         rounds = min(rounds, 1.0 + math.ceil((turns * one_s + pressing_s) / left_s))
     return rounds * room.round_s + pressing_s
 
 
-def _unsure_room_s(ahead: WorkAhead, worst_s: float) -> float:
+def _unsure_room_s(ahead: WorkAhead, longest: Longest) -> float:
     """Bound what feeds take before one exchange for which a round of them makes no room for sure.
 
     Args:
         ahead: What can go before a request.
-        worst_s: The exchange, not answered, seconds.
+        longest: The exchange.
     """
-    if worst_s <= ahead.room.sure_s:
-        return 0.0
-    return _rooms_s(ahead, 0, 0.0, worst_s)
+    need_s = ahead.room.need_s(longest.times)
+    return 0.0 if need_s <= ahead.room.sure_s else _rooms_s(ahead, 0, 0.0, need_s)
 
 
 def _lateness(ahead: WorkAhead, blocking: Sequence[Blocking], share: float) -> float:

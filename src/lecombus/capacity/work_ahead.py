@@ -105,6 +105,9 @@ class Room:
         answered_s: The longest exchange, answered, that leaves room for a stop with a lost answer;
             one that takes longer is not begun.
         failed_s: The longest exchange, not answered, that leaves room for a stop; likewise.
+        behind_answered_s: So much room is waited for behind an exchange that is answered, for what
+            may be lost then, seconds.
+        behind_failed_s: And behind one that is not answered, seconds.
     """
 
     most_s: float
@@ -112,10 +115,20 @@ class Room:
     alike: bool
     answered_s: float = math.inf
     failed_s: float = math.inf
+    behind_answered_s: float = 0.0
+    behind_failed_s: float = 0.0
+
+    def need_s(self, times: Times) -> float:
+        """Return for how much room the schedule waits before it begins an exchange, seconds.
+
+        It is more than its own lost answer takes: what may be lost behind it has room, too.
+        """
+        answered_s = times.usual_s + self.behind_answered_s
+        return max(answered_s, times.worst_s + self.behind_failed_s)
 
     @property
     def sure_s(self) -> float:
-        """The longest exchange for which there is room within a known time, seconds.
+        """The most room that is made within a known time, seconds.
 
         Where watchdogs differ, short ones come round again while the long ones are fed.
         """
@@ -263,7 +276,10 @@ def _room(feeds: WatchdogSet) -> Room:
     most_s = feeds.most_s("")[0]
     answered_s = most_s - feeds.least_room_s(0.0, 0.0)
     failed_s = most_s - feeds.least_room_s(-math.inf, 0.0)
-    return Room(most_s, feeds.round_s(), len(times) < 2, answered_s, failed_s)
+    return Room(
+        most_s, feeds.round_s(), len(times) < 2, answered_s, failed_s,
+        *feeds.behind_s(),
+    )  # fmt: skip
 
 
 def _own(drive: DriveEntry, timing: LineTiming) -> Iterator[Longest]:

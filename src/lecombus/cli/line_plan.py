@@ -206,7 +206,10 @@ def _show_room(plan: LinePlan) -> None:
         return
     some = ""
     if room.sure_s < room.most_s:
-        some = f", and is promised nothing above {_time(room.sure_s)} while all classes are full"
+        some = (
+            f"; one that needs more than {_time(room.sure_s)}, with what may be lost behind it, "
+            "waits for a moment that fits"
+        )
     click.echo(
         f"an exchange that may hold the line for more than {_time(room.failed_s)} is refused: the "
         f"watchdogs never leave more{some}"

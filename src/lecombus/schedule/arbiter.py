@@ -193,13 +193,14 @@ class Arbiter:
             return kept, False
         if control is not None:
             return self._with_control(control, None if entitled is None else heads[entitled], now_s)
-        feed = self._feed(bool(heads), now_s)
+        head = heads.get(entitled or top)
+        feed = self._feed(head, now_s)
         if feed is not None:
             return feed
         self._fed_last = False
-        if not heads:
+        if head is None:
             return None, False
-        return self._by_class(heads[entitled or top], entitled not in (None, top), now_s)
+        return self._by_class(head, entitled not in (None, top), now_s)
 
     def took(self, request: Request, costs_s: Mapping[Priority, float], *, ahead: bool) -> None:
         """Record a choice that was made beforehand (`Lookahead`).
@@ -241,12 +242,17 @@ class Arbiter:
         found = self._shares.least_recent(kept)
         return None if found is None else heads[found]
 
-    def _feed(self, others: bool, now_s: float) -> tuple[Request, bool] | None:
-        """Find the feed that goes now, if it is its turn."""
+    def _feed(self, other: Request | None, now_s: float) -> tuple[Request, bool] | None:
+        """Find the feed that goes now, if it is its turn.
+
+        While room is made for the other request, it is not: those feeds are chosen so that the
+        request fits, and urgent feeds between them, by deadline, would undo what they gain.
+        """
         begun = self._waiting.head(Priority.WATCHDOG, now_s)
         if begun is not None:
             return to_feed(begun), False
-        if others and self._fed_last and self._watchdog_arbiter.can_wait(now_s):
+        its_turn = other is not None and (self._fed_last or other.rooms > 0)
+        if its_turn and self._watchdog_arbiter.can_wait(now_s):
             return None
         feed = self._watchdog_arbiter.urgent(now_s)
         if feed is None:

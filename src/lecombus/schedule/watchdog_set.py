@@ -153,6 +153,12 @@ class WatchdogSet:
         """Return how much slack an exchange takes with a stop and one lost answer, at least."""
         return self.faults.least_room_s(cost_s, worst_s, *self._losses())
 
+    def behind_s(self) -> tuple[float, float]:
+        """Return how much slack is kept behind an exchange, answered and not answered, seconds."""
+        faults, losses = self.faults, self._losses()
+        left_s = faults.left_s(faults.tolerate - 1, *losses) if faults.tolerate else 0.0
+        return faults.behind_s(*losses), left_s
+
     def _losses(self) -> tuple[float, float]:
         """Give the longest lost feed, and a tenth of the shortest watchdog time."""
         if self._lost is None:
@@ -511,9 +517,12 @@ class WatchdogSet:
     def room(self, now_s: float, worst_s: float, drive: str) -> WatchdogDeadline | None:
         """Choose the feed to run first so that an exchange that does not fit may follow.
 
-        Only feeding a drive whose own bound is broken helps: any other feed takes as much time as
-        it saves, so nothing is gained. Of those, the longest watchdog goes first, as it stays
-        fresh longest, if those before it can wait that long; else the earliest deadline goes.
+        Feeding a drive whose own bound is broken helps, more the longer ago it was fed. Any other
+        feed takes as much time as it saves; but a longer watchdog that is due before a broken bound
+        stays out of its sum for long, and a short one fed instead is due again soon: two short ones
+        could be fed in turn without end. So of those whose bound is broken, and those of longer
+        watchdogs before them, the longest goes first, if those before it can wait that long; else
+        the earliest deadline goes. Where all are alike it is one whose bound is broken.
         """
         return _room(self._in_order(now_s), now_s, worst_s, drive)
 
@@ -581,16 +590,22 @@ def _room(
     earlier_s = math.inf  # by when the line must be free for the feeds before this one
     broken = False  # a bound that can be mended
     first: WatchdogDeadline | None = None
+    longest: WatchdogDeadline | None = None  # of those before which the earlier ones can wait
     best: WatchdogDeadline | None = None
     for feed in feeds:
         total_s += feed.cost_s
         end_by_s = feed.hard_s - total_s
         if feed.drive != drive and feed.free_s() <= now_s:
             first = first or feed
-            helps = end_s > end_by_s and now_s + feed.worst_s <= earlier_s
-            broken = broken or end_s > end_by_s
-            if helps and (best is None or feed.time_s > best.time_s):
-                best = feed
+            helps = now_s + feed.worst_s <= earlier_s
+            if helps and (longest is None or feed.time_s > longest.time_s):
+                longest = feed
+            if end_s > end_by_s:
+                broken = True
+                if helps and (best is None or feed.time_s > best.time_s):
+                    best = feed
+                if best is not None and longest is not None and longest.time_s > best.time_s:
+                    best = longest
         if end_by_s < earlier_s:
             earlier_s = end_by_s
     return best or (first if broken else None)
