@@ -280,7 +280,7 @@ MUTANTS: dict[str, Mutant] = {
         "take",
         "if not _shows(",
         "if type(what) is not WrittenValue and not _shows(",
-        (7, 107, 223),
+        (59, 107, 223),
         quick=True,
     ),
     "a refusal is taken for an acknowledgement": Mutant(
