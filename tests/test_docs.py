@@ -186,6 +186,17 @@ def test_the_first_roster_is_right(tmp_path: Path, capsys: pytest.CaptureFixture
         assert words in said, words
 
 
+def test_the_refused_roster_of_the_timing_document_is_refused_in_these_words(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    example = (DOCS / "timing.md").read_text().partition("$ cat two.yaml\n")[2].partition("```")[0]
+    roster, _, shown = example.partition("$ lecombus check -c two.yaml\n")
+    monkeypatch.chdir(tmp_path)
+    Path("two.yaml").write_text(roster)
+    assert main(["check", "-c", "two.yaml"]) == 2
+    assert capsys.readouterr().err == shown
+
+
 def anchors(text: str) -> set[str]:
     """Return what GitHub makes of the headings of a document."""
     outside = re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL)
