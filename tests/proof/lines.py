@@ -217,7 +217,7 @@ def _accepted(
     cyclic: str,
 ) -> Roster:
     """Read a roster; with longer watchdogs while `check` refuses these by some milliseconds."""
-    for more in range(20):
+    for more in range(40):
         longer = [min(LONGEST_WATCHDOG_S, time_s * 1.02**more) for time_s in times]
         with contextlib.suppress(RosterError):
             return _read(head, drives, watched, longer, cyclic)

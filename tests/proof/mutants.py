@@ -144,7 +144,7 @@ MUTANTS: dict[str, Mutant] = {
         "_cut_off",
         "request.writes and self._stopped_since(request)",
         "False",
-        (131, 291),
+        (123, 327),
     ),
     "a stop waits for the turn of others": Mutant(
         Schedule,
