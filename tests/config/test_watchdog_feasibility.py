@@ -123,10 +123,35 @@ def test_a_watchdog_shorter_than_a_drives_own_stop_is_refused() -> None:
     text = f"line: {{name: l, port: /dev/ttyS0, baud: 19200, tolerate: 0}}\ndrives:\n{drive}"
     refused = said(text.replace("TIME", "230ms"))
     assert len(refused) == 1
-    assert "1 feed (51ms) behind a write, after which a is left alone (467ms)" in refused[0]
+    assert (
+        "the line would have to carry a write to a with the time for which it is left alone (467ms)"
+        " and the feed of a (51ms)"
+    ) in refused[0]
     proposed = re.search(r"a time of (\S+) or more", refused[0])
     assert proposed is not None
     assert find_infeasible(parsed(text.replace("TIME", proposed[1]))) == []
+
+
+@pytest.mark.parametrize("tolerate", range(3))
+def test_what_stands_behind_a_write_adds_up_to_more_than_there_is(tolerate: int) -> None:
+    drives = "".join(
+        f"  - {{name: {name}, address: {address}, family: 820x, "
+        "watchdog: {time: TIME, action: inhibit}}\n"
+        for name, address in (("a", 11), ("b", 12))
+    )
+    line = f"line: {{name: l, port: /dev/ttyS0, baud: 19200, tolerate: {tolerate}}}"
+    text = f"{line}\ndrives:\n{drives}"
+    least = least_time_s(demand_of(parsed(text.replace("TIME", "10s"))), all_alike=True)
+    assert least is not None
+    refused = said(text.replace("TIME", f"{round(least * 1000) - 1}ms"))[0]
+    assert ("answer is lost" in refused or "answers are lost" in refused) == (tolerate > 0)
+    found = re.search(r"within (\d+)ms the line would have to carry (.*)", refused)
+    assert found is not None
+    within, carried = found.groups()
+    assert "left alone" in carried
+    assert sum(int(ms) for ms in re.findall(r"\((\d+)ms\)", carried)) == pytest.approx(
+        int(within), abs=4
+    )
 
 
 def test_a_watchdog_shorter_than_one_exchange_with_its_drive_is_refused() -> None:
@@ -220,7 +245,8 @@ def test_a_stop_that_is_lost_while_another_drive_is_left_alone_takes_room() -> N
     refused = said(three("1000ms"))
     assert refused
     for text in refused:
-        assert "or a write, after which d79 is left alone (467ms)" in text
+        assert "a write to d79 with the time for which it is left alone (467ms)" in text
+        assert "1 lost answer and a stop beyond the last tenth (435ms)" in text
 
 
 def test_check_names_a_watchdog_that_lost_answers_of_its_own_stop_may_let_act() -> None:

@@ -60,6 +60,7 @@ from lecombus.schedule.watchdog_deadline import HARD_PART, FaultHypothesis
 __all__ = [
     "LONGEST_S",
     "DriveDelay",
+    "LeftAlone",
     "WatchdogDemand",
     "demand_of",
     "faults_of",
@@ -121,6 +122,21 @@ class OtherDelays:
 
 
 @dataclass(frozen=True, slots=True)
+class LeftAlone(Overload):
+    """A watchdog that does not outlast a write to its drive and what may come before its next feed.
+
+    Args:
+        alone_s: The write and the time for which its drive is left alone after it, seconds.
+        other_s: A feed of another drive that may be under way then, seconds.
+        stop_s: Lost answers and a stop of another drive, less the last tenth, seconds.
+    """
+
+    alone_s: float
+    other_s: float
+    stop_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class WatchdogDemand:
     """What feeding the watchdogs of a roster takes of the line.
 
@@ -156,9 +172,9 @@ class WatchdogDemand:
         return tuple(one for one in self.delays if one.drive != drive)
 
     def alone(self, drive: str) -> float:
-        """Give for how long a drive is not fed from the beginning of a write on, seconds."""
+        """Give for how long a drive is not fed from the beginning of a usual write on, seconds."""
         names = [one.name for one in self.streams]
-        return self.alone_s[names.index(drive)][1]
+        return self.alone_s[names.index(drive)][0]
 
     def overload(self, *, lost: int | None = None) -> Overload | None:
         """Find where the feeds do not fit when answers are lost within a watchdog time.
@@ -180,7 +196,7 @@ class WatchdogDemand:
             return Overload(first.every_s, demand_s, first.blocked_s, first.name)
         return found
 
-    def _left_alone(self, lost: int) -> Overload | None:
+    def _left_alone(self, lost: int) -> LeftAlone | None:
         """Find a drive whose watchdog does not outlast its own write, with another's stop behind.
 
         The line feeds others while it is left alone after that; one of these feeds may be under way
@@ -195,8 +211,10 @@ class WatchdogDemand:
                 stop_s = (lost - 1) * self.lost_s + faults.stop_behind_s(self.lost_s, tenth_s)
             other_s = max((cost_s for name, cost_s in feeds.items() if name != one.name), default=0)
             if alone_s and alone_s + other_s + stop_s + one.cost_s > one.every_s + ROUNDING_S:
-                demand_s = sum(each.before(one.every_s) for each in self.streams)
-                return Overload(one.every_s, demand_s, alone_s + other_s + stop_s, one.name)
+                blocking_s = alone_s + other_s + stop_s
+                return LeftAlone(
+                    one.every_s, one.cost_s, blocking_s, one.name, alone_s, other_s, stop_s
+                )
         return None
 
     def _behind_lost(self, lost: int) -> tuple[Stream, ...]:

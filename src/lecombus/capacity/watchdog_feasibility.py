@@ -24,6 +24,7 @@ from lecombus.capacity.demand_bound import Overload
 from lecombus.capacity.exchange_costs import feed_times, line_timing, watched_s
 from lecombus.capacity.watchdog_demand import (
     LONGEST_S,
+    LeftAlone,
     WatchdogDemand,
     demand_of,
     least_time_s,
@@ -95,32 +96,51 @@ def _too_slow(demand: WatchdogDemand, baud: int) -> Iterator[InfeasibleWatchdog]
 
 def _arithmetic(drive: DriveEntry, demand: WatchdogDemand, overload: Overload, baud: int) -> str:
     time_s = watched_s(drive) or 0.0
+    lost = demand.tolerate if demand.overload(lost=0) is None else 0
+    said = f" if {_answers(lost)} lost" if lost else ""
+    if isinstance(overload, LeftAlone):
+        carried = _behind_a_write(overload, lost)
+    else:
+        carried = _feeds(demand, overload, lost)
+    return (
+        f"a watchdog of {format_duration(time_s)} cannot be held at {baud} baud{said}: within "
+        f"{_ms(overload.within_s)} the line would have to carry {carried}"
+    )
+
+
+def _behind_a_write(found: LeftAlone, lost: int) -> str:
+    whose = found.whose
+    parts = [f"a write to {whose} with the time for which it is left alone ({_ms(found.alone_s)})"]
+    if found.other_s > 0.0:
+        parts.append(f"the feed of another drive ({_ms(found.other_s)})")
+    if found.stop_s > 0.0:
+        answers = f"{_lost_answers(lost)} and " if lost else ""
+        parts.append(f"{answers}a stop beyond the last tenth ({_ms(found.stop_s)})")
+    return f"{', '.join(parts)} and the feed of {whose} ({_ms(found.demand_s)})"
+
+
+def _feeds(demand: WatchdogDemand, overload: Overload, lost: int) -> str:
     counted = sum(1 for stream in demand.streams if stream.every_s <= overload.within_s + 1e-9)
     feeds = "1 feed" if counted == 1 else f"the feeds of {counted} drives"
     before = demand.before(overload.whose)
-    behind, lost = [], ""
-    if demand.overload(lost=0) is None:
-        lost = f" if {_answers(demand.tolerate)} lost"
+    behind = []
+    if lost:
         stop, failed = _ms(demand.faults.stop_s), _ms(demand.faults.stop_failed_s)
         behind = [
-            f"{_ms(overload.blocking_s)}: an exchange, {_lost_answers(demand.tolerate)} "
+            f"{_ms(overload.blocking_s)}: an exchange, {_lost_answers(lost)} "
             f"({_ms(demand.lost_s)} each), and as far as the last tenth of the shortest time does "
             f"not hold them a stop ({stop}, or {failed} without an answer) and the feed before"
         ]
+        alone_s = demand.alone(overload.whose)
+        if alone_s > 0.0:
+            behind.append(f"a write, after which {overload.whose} is left alone ({_ms(alone_s)})")
     elif before:
         behind = [
             f"one exchange that fails ({_ms(under_way_s(before))}) and one stop "
             f"({_ms(longest_stop_s(before))})"
         ]
-    alone_s = demand.alone(overload.whose)
-    if alone_s > 0.0:
-        behind.append(f"a write, after which {overload.whose} is left alone ({_ms(alone_s)})")
     after = f" behind {' or '.join(behind)}" if behind else ""
-    return (
-        f"a watchdog of {format_duration(time_s)} cannot be held at {baud} baud{lost}: within "
-        f"{_ms(overload.within_s)} the line would have to carry {feeds} ({_ms(overload.demand_s)})"
-        f"{after}"
-    )
+    return f"{feeds} ({_ms(overload.demand_s)}){after}"
 
 
 def _answers(count: int) -> str:
