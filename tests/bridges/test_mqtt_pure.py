@@ -272,9 +272,10 @@ def test_events_are_bounded_in_memory_and_on_the_disk(tmp_path: Path) -> None:
     assert again.first() == ("", "0950")
 
 
+@pytest.mark.parametrize("unit", sorted(BOTH_WAYS))
 @pytest.mark.parametrize("name", FAMILY_NAMES)
-def test_the_speed_has_a_sign_where_every_setpoint_of_the_family_has_one(name: str) -> None:
+def test_the_speed_has_a_sign_where_the_setpoint_of_that_unit_has_one(name: str, unit: str) -> None:
     verbs = family(name).verbs
     setpoints = () if verbs is None else verbs.setpoints
-    signed = bool(setpoints) and all(one.low < 0 for one in setpoints)
-    assert (name in BOTH_WAYS) == signed
+    lowest = min((one.low for one in setpoints if one.unit == unit), default=0)
+    assert (name in BOTH_WAYS[unit]) == (lowest < 0)

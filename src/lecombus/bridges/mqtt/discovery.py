@@ -30,8 +30,10 @@ KINDS: Final[Mapping[str, str]] = {
 }  # fmt: skip
 """Home Assistant's device class by a unit that it knows."""
 
-BOTH_WAYS: Final = frozenset(("93xx",))
-"""Families whose setpoint has a sign."""
+BOTH_WAYS: Final[Mapping[str, frozenset[str]]] = {
+    "Hz": frozenset(), "%": frozenset(("821x", "822x", "824x", "93xx")),
+}  # fmt: skip
+"""Families whose setpoint has a sign, by its unit: that of an 821x has one in `%` (C0127 = 1)."""
 
 LINE_IS_THERE: Final = "{{ 'online' if value == 'online' else 'offline' }}"
 DRIVE_IS_THERE: Final = "{{ 'online' if value in ('online', 'degraded') else 'offline' }}"
@@ -182,7 +184,7 @@ class Discovery:
         most = SPEED_MOST[unit]
         return self._component(
             drive, "speed", "number", name="Speed", mode="box", max=most,
-            min=-most if drive.family in BOTH_WAYS else 0, step=0.01,
+            min=-most if drive.family in BOTH_WAYS[unit] else 0, step=0.01,
             unit_of_measurement=unit, command_topic=self._topics.do(drive.name, "set-speed"),
             command_template=f'{{"value": {{{{ value }}}}, "unit": "{unit}"}}', qos=2,
             retain=False, state_topic=self._topics.json(drive.name),
