@@ -296,6 +296,49 @@ def test_a_command_that_may_have_been_late_counts_as_late(
     with_bench(script)
 
 
+def test_how_late_a_command_was_is_what_was_known_when_it_came() -> None:
+    """A bridge that stood finds old commands; a later pulse says nothing of those that wait."""
+
+    async def script(bench: Bench) -> None:
+        bench.daemon.takes_s = 2.0
+        bench.take("feeder/set/C0046", "10")
+        await anyio.sleep(0.5)
+        bench.pulse.proven_s = anyio.current_time() - 60  # it stood for a minute
+        bench.take("feeder/do/enable")
+        bench.take("feeder/do/enable", expiry_s=90)
+        bench.pulse.proven_s = anyio.current_time() + 0.1
+        await anyio.sleep(5)
+        assert bench.outcomes == ["done", "expired", "done"]
+        assert float(bench.daemon.requests[1][3]["lecombus-asked"]) >= 61
+
+    with_bench(script)
+
+
+@pytest.mark.parametrize(("slept_s", "outcome"), [(0.0, "done"), (60.0, "expired")])
+@pytest.mark.parametrize("waits", [False, True])
+def test_a_computer_that_slept_finds_old_commands(
+    monkeypatch: pytest.MonkeyPatch, slept_s: float, outcome: str, waits: bool
+) -> None:
+    """The clock of the event loop stands while the computer sleeps."""
+    slept = [1000.0]  # before the bridge was started
+    monkeypatch.setattr("lecombus.bridges.mqtt.commands.slept_s", lambda: slept[0])
+
+    async def script(bench: Bench) -> None:
+        bench.daemon.takes_s = 1.0
+        bench.pulse.proven_s = bench.pulse.now_s()
+        bench.take("feeder/set/C0046", "10")
+        await anyio.sleep(0.5)
+        if waits:
+            bench.take("feeder/do/enable")
+        slept[0] += slept_s
+        if not waits:
+            bench.take("feeder/do/enable")
+        await anyio.sleep(5)
+        assert bench.outcomes == ["done", outcome]
+
+    with_bench(script)
+
+
 def test_too_many_commands_are_refused_and_answered() -> None:
     async def script(bench: Bench) -> None:
         bench.daemon.takes_s = 60.0

@@ -105,6 +105,14 @@ def test_the_unit_of_a_bridge_is_right_and_exposes_little(tmp_path: Path, kind: 
     assert not re.search(r"^(Conflicts|BindsTo|Requires|PropagatesStopTo)=", text, re.MULTILINE)
 
 
+@pytest.mark.parametrize("kind", ["modbus", "mqtt", "notify"])
+def test_a_daemon_that_crashed_is_started_without_waiting_for_a_bridge(kind: str) -> None:
+    """PartOf= restarts a bridge with it; with After= its end would come first (systemd.unit(5))."""
+    text = (DEPLOY / f"lecombus-{kind}@.service").read_text()
+    assert "\nPartOf=lecombus@%i.service\n" in text
+    assert not re.search(r"^(After|Before)=.*lecombus@", text, re.MULTILINE)
+
+
 def test_the_backup_of_a_line_is_right_exposes_little_and_comes_each_day(tmp_path: Path) -> None:
     text = (DEPLOY / "lecombus-backup@.service").read_text()
     service = tmp_path / "lecombus-backup@hall-3.service"

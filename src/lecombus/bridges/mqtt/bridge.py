@@ -341,7 +341,7 @@ class MqttBridge:
             await self._beat_once(broker)
 
     async def _beat_once(self, broker: Broker) -> None:
-        sent_s = anyio.current_time()
+        sent_s = self._pulse.now_s()
         await broker.publish(Message(self._topics.pulse, b"", 1, is_retained=False, expiry_s=1))
         if broker.limits.qos > 0:
             self._pulse.proven_s = sent_s

@@ -125,7 +125,8 @@ class Incoming:
         payload: What it says.
         qos: With which quality of service it was delivered.
         is_retained: Whether it was sent to stand at the broker.
-        came_s: When it came, by `anyio.current_time`.
+        came_s: When it came, by `anyio.current_time`. `Commands` sets it to when it may have been
+            sent by the broker, by its `Pulse`.
         expiry_s: How long it may still wait; None: it does not say.
         response_topic: Where its sender waits for an answer; empty: nowhere.
         correlation: By which the sender knows the answer; None: it gives none.

@@ -7,6 +7,7 @@ makes it safe over a broker is decided before that:
   broker counts down what a command waits there. How long it waited on its way from the broker is
   bounded by `Pulse`: what comes after an acknowledged message was sent by the broker after that
   message was sent by the bridge. So commands are old that lay in the socket of a bridge that stood.
+  It is reckoned when a command comes: a later pulse says nothing of one that waits here already.
 - Each is carried out once. One that comes again (the same topic, response topic and correlation
   data) gets the first one's answer, or `unknown` if the bridge was started in between. The daemon's
   memory of keys would not do: it is of the last 1000 requests of all clients. Without correlation
@@ -24,10 +25,11 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+import time
 from collections import deque
 from collections.abc import Awaitable, Callable
 from contextlib import AbstractAsyncContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 from typing import Any, Final
 from uuid import uuid4
@@ -74,19 +76,33 @@ logger = logging.getLogger(__name__)
 Connect = Callable[[str], AbstractAsyncContextManager[Line]]
 
 
+def slept_s() -> float:
+    """Return how long this computer has slept, seconds; the clock of the event loop stood then."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - time.monotonic()
+
+
 class Pulse:
     """How late a message from the broker may be.
 
     Attributes:
-        proven_s: The broker has acknowledged what was sent at this time.
+        proven_s: The broker has acknowledged what was sent at this time, by `now_s`.
     """
 
     def __init__(self) -> None:
+        self._slept_before_s = slept_s()
         self.proven_s = -inf
 
-    def late_s(self, came_s: float) -> float:
-        """Return how long a message that came at a time was on its way at most, seconds."""
-        return max(0.0, came_s - self.proven_s)
+    def now_s(self) -> float:
+        """Return the time, which goes on while the computer sleeps, seconds."""
+        return anyio.current_time() + slept_s() - self._slept_before_s
+
+    def sent_s(self) -> float:
+        """Return since when a message that comes now may have been under way, by `now_s`.
+
+        A delay of up to `USUAL_DELAY_S` is not counted.
+        """
+        now_s = self.now_s()
+        return now_s if now_s - self.proven_s <= USUAL_DELAY_S else self.proven_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +114,7 @@ class CommandRequest:
         path: The path.
         document: The body.
         key: Its `Idempotency-Key`.
-        asked_s: When it counts as asked for, by `anyio.current_time`.
+        asked_s: When it counts as asked for, by `Pulse.now_s`.
         until_s: After this it is not carried out.
     """
 
@@ -160,7 +176,7 @@ class Commands:
     def take(self, incoming: Incoming) -> None:
         """Take a message, outside of any task."""
         if self._topics.command(incoming.topic) is not None:
-            self._inbox.append(incoming)
+            self._inbox.append(replace(incoming, came_s=self._pulse.sent_s()))
             self._came.set()
 
     async def run(self) -> None:
@@ -255,11 +271,9 @@ class Commands:
             )  # fmt: skip
         document = body_of(topic, incoming.payload)
         expires_s = expiry_of(incoming, document)
-        late_s = self._pulse.late_s(incoming.came_s)
-        counted_s = late_s if late_s > USUAL_DELAY_S else 0.0
-        asked_s = incoming.came_s - counted_s
-        if counted_s >= expires_s:
-            raise expired(f"it may have been on its way for {late_s:.1f} s")
+        asked_s = incoming.came_s
+        if (late_s := self._pulse.now_s() - asked_s) >= expires_s:
+            raise expired(f"it may have been on its way, or waited here, for {late_s:.1f} s")
         path = self._path(topic)
         key = key_of(incoming)
         if incoming.correlation is not None:
@@ -312,7 +326,7 @@ class Commands:
         Raises:
             CommandRefusedError: It is not carried out.
         """
-        now_s = anyio.current_time()
+        now_s = self._pulse.now_s()
         if now_s >= request.until_s:
             raise expired("it waited for others for this drive")
         asked_ago_s = 0.0 if request.until_s == inf else max(0.001, now_s - request.asked_s)
