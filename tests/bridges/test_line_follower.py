@@ -47,6 +47,7 @@ class Daemon:
         self.planned_stretch = 1.0
         self.drives = ["feeder"]
         self.silenced: set[str] = set()
+        self.lease_s = 2.0
         self.is_silent = False
         self.is_gone = False
         self.reads_itself = True
@@ -79,10 +80,12 @@ class Daemon:
         return httpx2.Response(200, json={
             "/v1/line": {"line": "hall-3", "state": "open", "stretch": 3.5,
                          "planned_stretch": self.planned_stretch},
-            "/v1/plan": {"roster": {"drives": [{"name": "feeder", "cyclic": [
-                {"code": "C0050", "every_s": self.every_s}]}]}},
+            "/v1/plan": {"roster": {"drives": [
+                {"name": name, "cyclic": [{"code": "C0050", "every_s": self.every_s}]}
+                for name in self.drives]}},
             "/v1/leases": {"leases": [], "drives": [
-                {"drive": name, "silenced": name in self.silenced} for name in self.drives]},
+                {"drive": name, "silenced": name in self.silenced, "time_s": self.lease_s}
+                for name in self.drives]},
         }[path])  # fmt: skip
 
     def value(self) -> dict[str, Any]:
@@ -351,6 +354,40 @@ def test_a_drive_taken_out_of_the_roster_goes() -> None:
         assert list(seen.follower.drives) == ["feeder"]
         last = [event for event in seen.given if event.kind == "state"][-1]
         assert (last.kind, last.drive, last.data["state"]) == ("state", "belt", None)
+
+    follow(script)
+
+
+@pytest.mark.parametrize(
+    ("how", "within_s"),
+    [("a remark by an event", 1.5), ("a remark by a look", 2.5), ("nothing says it", 62)],
+)
+def test_a_reload_changes_leases_without_an_event_of_theirs(how: str, within_s: float) -> None:
+    async def script(seen: Followed) -> None:
+        await anyio.sleep(2.5)
+        seen.daemon.lease_s = 1.0
+        if how == "a remark by an event":
+            seen.daemon.say("remark", subject="lease", text="latched (no lease was taken yet)")
+        elif how == "a remark by a look":
+            seen.daemon.remarks = {"lease": "latched (no lease was taken yet)"}
+        await anyio.sleep(within_s)
+        assert [one["time_s"] for one in seen.follower.leases["drives"]] == [1.0]
+
+    follow(script)
+
+
+@pytest.mark.parametrize("by_event", [False, True])
+def test_of_a_drive_that_a_reload_adds_all_is_asked(by_event: bool) -> None:
+    async def script(seen: Followed) -> None:
+        await anyio.sleep(2.5)
+        asked = len(seen.daemon.asked)
+        seen.daemon.drives = ["feeder", "belt"]
+        if by_event:
+            seen.daemon.say("state", drive="belt", state="starting")
+        await anyio.sleep(2.5)
+        assert seen.follower.period_s("belt", "C0050") == seen.daemon.every_s
+        assert [one["drive"] for one in seen.follower.leases["drives"]] == ["feeder", "belt"]
+        assert seen.daemon.asked[asked:].count("/v1/plan") == 1
 
     follow(script)
 

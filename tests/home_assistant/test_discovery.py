@@ -6,7 +6,9 @@ import json
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
+import anyio
 import pytest
 
 from home_assistant.followed import Followed, devices
@@ -39,6 +41,32 @@ def test_a_drive_is_read_only_and_can_be_stopped_unless_the_roster_allows_more()
         assert (value["unit_of_measurement"], value["device_class"]) == ("Hz", "frequency")
         assert value["expire_after"] == 6  # read every 2 s: stale after 5 s
     assert writes == [{"quick_stop", "inhibit"}, {"quick_stop", "inhibit", "speed"}]
+
+
+def test_codes_and_periods_that_a_reload_changed_are_made_known() -> None:
+    follower = Followed({"feeder": "8200vector"})
+    known = devices(follower)
+    known.looked()
+    for message in known.due():
+        known.sent(message)
+
+    def expire_after(code: str) -> int | None:
+        known.came = anyio.Event()
+        known.looked()
+        assert known.came.is_set()
+        (message,) = known.due()
+        known.sent(message)
+        part = json.loads(message.payload)["components"].get(code)
+        return None if part is None else int(part["expire_after"])
+
+    follower._periods["feeder", "C0050"] = 20.0
+    assert expire_after("C0050") == 42
+    del follower._periods["feeder", "C0050"]
+    assert expire_after("C0050") is None
+    follower._periods["feeder", "C0050"] = 2.0
+    assert expire_after("C0050") == 6
+    follower.line = SimpleNamespace(document={"planned_stretch": 2.0})  # the line is overfull
+    assert expire_after("C0050") == 10
 
 
 def test_all_is_sent_again_after_the_birth_of_home_assistant_and_only_what_changed_else() -> None:

@@ -58,7 +58,8 @@ AWAY_AFTER_S: Final = 5.0
 LOOK_EVERY_S: Final = 1.0
 
 PERIODS_EVERY_S: Final = 60.0
-"""How often it is asked how often codes are read; a reload may change that."""
+"""How often it is asked how often codes are read, and who controls what: a reload may change both,
+of which there is no event."""
 
 PAGE_AGE_S: Final = 0.1
 """Ages in `/v1/drives` may be too small by this."""
@@ -68,6 +69,9 @@ CLOCKS_DIFFER_S: Final = 0.25
 
 FIRST_PAUSE_S: Final = 0.1
 LONGEST_PAUSE_S: Final = 5.0
+
+LEASE: Final = "lease"
+"""A kind of events, and what a remark on a drive is about."""
 
 UNKNOWN: Final = "unknown"
 NOT_ASKED: Final = "not asked yet"
@@ -200,6 +204,12 @@ class LineFollower:
         found = self.drives.get(drive)
         return None if found is None else found.values.get(code)
 
+    @property
+    def stretch(self) -> float:
+        """By how much the periods are longer by plan than the roster says, 1 or more."""
+        line = {} if self.line is None else self.line.document
+        return float(line.get("planned_stretch") or 1)
+
     def period_s(self, drive: str, code: str) -> float | None:
         """Return how often a code is read, seconds; None: not cyclically, or not known."""
         return self._periods.get((drive, code))
@@ -253,7 +263,7 @@ class LineFollower:
             with anyio.fail_after(AWAY_AFTER_S):
                 if asked_s >= self._periods_due_s:
                     self._take_periods((await line.ask("/v1/plan")).data)
-                    self._periods_due_s = asked_s + PERIODS_EVERY_S
+                    self._periods_due_s, self._leases_due = asked_s + PERIODS_EVERY_S, True
                 if self._leases_due:
                     self._leases_due = False
                     self._take_leases((await line.ask("/v1/leases")).data)
@@ -286,8 +296,9 @@ class LineFollower:
     def _take_event(self, event: Event) -> None:
         """Take an event into the picture, then give it to the listeners."""
         now_s, data = anyio.current_time(), event.data
-        if event.kind == "lease":
+        if event.kind == LEASE or (event.kind == "remark" and data.get("subject") == LEASE):
             self._leases_due = True
+        if event.kind == LEASE:
             self._take_silence(data)
         elif event.kind == "line":
             self._line_heard_s = now_s
@@ -322,6 +333,7 @@ class LineFollower:
         drive = self.drives.get(event.drive)
         if drive is None:
             drive = self.drives[event.drive] = FollowedDrive(event.drive)
+            self._periods_due_s = -inf
         if event.kind == "value":
             return self._take_value(drive, event.reading, now_s)
         drive.heard_s = now_s
@@ -384,10 +396,12 @@ class LineFollower:
         elif before is not None and before.state != status.state:
             self._give("line", "", {"line": status.name, "state": status.state,
                                     "reason": status.reason or None})  # fmt: skip
-        seen = set()
+        seen, known = set(), set(self.drives)
         for document in documents:
             seen.add(str(document["drive"]))
             self._take_drive(document, asked_s)
+        if before is not None and not seen <= known:
+            self._periods_due_s = -inf
         for name in [name for name in self.drives if name not in seen]:
             if self.drives[name].heard_s < asked_s:
                 del self.drives[name]
@@ -435,6 +449,8 @@ class LineFollower:
             self._give("trip", drive.name, data)
         remarks = {str(key): str(text) for key, text in (document.get("remarks") or {}).items()}
         before, drive.remarks = drive.remarks, remarks
+        if before.get(LEASE) != remarks.get(LEASE):
+            self._leases_due = True
         for subject in {**before, **remarks}:
             text = remarks.get(subject)
             if before.get(subject) != text:
@@ -444,10 +460,8 @@ class LineFollower:
     def _value(self, reading: Reading, read_at_s: float, heard_s: float = -inf) -> FollowedValue:
         if not reading.is_good:
             return FollowedValue(reading, read_at_s, -inf, heard_s)
-        line = {} if self.line is None else self.line.document
-        stretch = float(line.get("planned_stretch") or 1)
         every_s = self._periods.get((reading.drive, key_of(reading)))
-        good_until_s = read_at_s + good_for_s(every_s, stretch)
+        good_until_s = read_at_s + good_for_s(every_s, self.stretch)
         return FollowedValue(reading, read_at_s, good_until_s, heard_s)
 
     def _give(self, kind: str, drive: str, data: Mapping[str, Any]) -> None:

@@ -170,27 +170,27 @@ async def stop(
     deaf: BrokerError | None,
     heard: Callable[[StopResult], None],
 ) -> None:
-    """Send one stop and wait for its answer."""
+    """Send one stop, then wait for its answer: its time begins when it was sent."""
+    code = 0
+    try:
+        code = await broker.publish_for_reason(message)
+    except BrokerError as exc:
+        asked.end(not_known(asked.root, f"the broker was lost ({exc})", "broker-lost"))
+    if code == NO_SUBSCRIBER:
+        asked.end(
+            StopResult(asked.root, "refused", "no-bridge", "no bridge takes commands for it at "
+                       "this broker: no drive was asked to stop", EMERGENCY)
+        )  # fmt: skip
+    elif code >= FAILURES:
+        is_forbidden = code == NOT_AUTHORISED
+        asked.end(
+            StopResult(asked.root, "refused", "not-permitted" if is_forbidden else "broker",
+                       "the broker does not let this user publish it" if is_forbidden else
+                       f"the broker refuses it (MQTT reason code {code})", EMERGENCY)
+        )  # fmt: skip
+    elif deaf is not None and deaf.is_refused:
+        asked.end(not_known(asked.root, f"no answer can be heard ({deaf})"))
     with anyio.move_on_after(within_s):
-        try:
-            code = await broker.publish_for_reason(message)
-        except BrokerError as exc:
-            asked.end(not_known(asked.root, f"the broker was lost ({exc})", "broker-lost"))
-            code = 0
-        if code == NO_SUBSCRIBER:
-            asked.end(
-                StopResult(asked.root, "refused", "no-bridge", "no bridge takes commands for it at "
-                           "this broker: no drive was asked to stop", EMERGENCY)
-            )  # fmt: skip
-        elif code >= FAILURES:
-            is_forbidden = code == NOT_AUTHORISED
-            asked.end(
-                StopResult(asked.root, "refused", "not-permitted" if is_forbidden else "broker",
-                           "the broker does not let this user publish it" if is_forbidden else
-                           f"the broker refuses it (MQTT reason code {code})", EMERGENCY)
-            )  # fmt: skip
-        elif deaf is not None and deaf.is_refused:
-            asked.end(not_known(asked.root, f"no answer can be heard ({deaf})"))
         await asked.over.wait()
     asked.end(not_known(asked.root, f"no answer came within {within_s:g} s"))
     assert asked.result is not None

@@ -377,10 +377,12 @@ class Devices:
 
     def looked(self) -> None:
         """Look whether there is something else to make known than before."""
-        seen = tuple(
-            (drive.name, drive.family, self.discovery.speed_unit(drive), tuple(drive.values))
-            for drive in self._follower.drives.values()
-        )
+        follower = self._follower
+        seen = (follower.stretch, *(
+            (drive.name, drive.family, self.discovery.speed_unit(drive),
+             tuple((code, follower.period_s(drive.name, code)) for code in drive.values))
+            for drive in follower.drives.values()
+        ))  # fmt: skip
         if seen != self._seen:
             self._seen = seen
             self.came.set()

@@ -138,7 +138,7 @@ class Discovery:
         for code in sorted(drive.values):
             period_s = follower.period_s(drive.name, code)
             if period_s is not None:
-                yield self._value(drive, code, period_s)
+                yield self._value(drive, code, good_for_s(period_s, follower.stretch))
         for verb, name in (("quick-stop", "Quick stop"), ("inhibit", "Inhibit")):
             yield self._component(
                 drive, verb.replace("-", "_"), "button", name=name, availability=line,
@@ -159,7 +159,7 @@ class Discovery:
         return key, {"platform": platform, "unique_id": unique, **more}
 
     def _value(
-        self, drive: FollowedDrive, code: str, period_s: float
+        self, drive: FollowedDrive, code: str, good_s: float
     ) -> tuple[str, dict[str, Any]]:
         reading = drive.values[code].reading
         name = f"{reading.name[:1].upper()}{reading.name[1:]}" or code
@@ -167,7 +167,7 @@ class Discovery:
             "name": name, "state_topic": self._topics.value(drive.name, code),
             # What is not good is removed from the broker, of which a subscriber hears nothing
             # when it expires.
-            "expire_after": ceil(good_for_s(period_s, 1.0)) + 1,
+            "expire_after": ceil(good_s) + 1,
         }  # fmt: skip
         if reading.unit:
             more["unit_of_measurement"] = reading.unit
