@@ -27,6 +27,7 @@ from lecombus.bridges.modbus.register_map import (
 )
 from lecombus.bridges.modbus.register_values import ModbusError, ModbusException, RegisterReader
 from lecombus.client import ClientError, Line, connect
+from lecombus.client.finding import knock
 from lecombus.drives import family
 from lecombus.roster import ModbusEntry, Roster
 
@@ -116,11 +117,29 @@ class ModbusBridge:
         if not 0 <= command <= highest:
             raise ModbusError(ModbusException.BAD_VALUE)
         if not self._follower.is_connected or self._line is None:
+            if Command(command).is_stop:
+                self._try_to_stop(drive, Command(command))
             raise ModbusError(ModbusException.LECOMBUS_AWAY)
         if drive is None:
             self._write_stop_all(command)
         else:
             self._write_drive(client, self._control_of(drive.name), found)
+
+    def _try_to_stop(self, drive: FollowedDrive | None, command: Command) -> None:
+        """Send a stop to a daemon that the follower has lost, in case it is there again.
+
+        The follower finds that out some seconds later, and a stop does not wait for it.
+        """
+        if self._line is None:
+            return
+        try:
+            knock(self._follower.socket)
+        except ClientError:
+            return
+        if drive is None:
+            self._write_stop_all(int(command))
+        else:
+            self._control_of(drive.name).write_stop(command)
 
     def _write_stop_all(self, number: int) -> None:
         before, self._stop_register = self._stop_register, number

@@ -158,9 +158,7 @@ class Discovery:
         unique = f"{self.identifier(drive.name)}_{key}"
         return key, {"platform": platform, "unique_id": unique, **more}
 
-    def _value(
-        self, drive: FollowedDrive, code: str, good_s: float
-    ) -> tuple[str, dict[str, Any]]:
+    def _value(self, drive: FollowedDrive, code: str, good_s: float) -> tuple[str, dict[str, Any]]:
         reading = drive.values[code].reading
         name = f"{reading.name[:1].upper()}{reading.name[1:]}" or code
         more: dict[str, Any] = {
