@@ -7,6 +7,7 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import anyio
 import pytest
@@ -65,7 +66,8 @@ def test_codes_and_periods_that_a_reload_changed_are_made_known() -> None:
     assert expire_after("C0050") is None
     follower._periods["feeder", "C0050"] = 2.0
     assert expire_after("C0050") == 6
-    follower.line = SimpleNamespace(document={"planned_stretch": 2.0})  # the line is overfull
+    overfull: Any = SimpleNamespace(document={"planned_stretch": 2.0})
+    follower.line = overfull
     assert expire_after("C0050") == 10
 
 
