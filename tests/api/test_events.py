@@ -21,9 +21,11 @@ from lecombus.api.event_readers import BYTES_AT_ONCE, Reader
 from lecombus.api.limits import ConnectionPlaces
 from lecombus.event_stream import BYTES_LIMIT
 from lecombus.operations.actions import ACTOR
+from lecombus.operations.operation_reports import GroupFacts
 from lecombus.parameters import Json
 from lecombus.tokens import grants
 from support.api_line import Line
+from support.guarded_door import guarded_door
 
 pytestmark = [pytest.mark.anyio, pytest.mark.real]
 
@@ -213,6 +215,46 @@ async def test_a_filter_by_drive_group_and_kind(line: Line, tmp_path: Path) -> N
         for query, client in clients.items():
             got = [(await client.next()).data for _ in wanted[query]]
             assert got == [{"n": number} for number in wanted[query]], query
+
+
+async def test_an_answer_ends_when_a_reload_changes_the_group_that_it_is_about(
+    line: Line, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The client comes back with its last id, and reads of the drives that the group has now."""
+    monkeypatch.setattr(event_readers, "LOOK_S", 0.02)
+    async with serving(line, tmp_path) as connect:
+        client, other = await connect(), await connect()
+        await client.open("?drive=conveyors")
+        await other.open("?drive=feeder")
+        await client.until_open()
+        await other.until_open()
+        publish(line, 1)
+        assert (await client.next()).data == {"n": 0}
+        monkeypatch.setattr(line.ops, "groups", lambda: (GroupFacts("conveyors", ("belt",), None),))
+        await until(lambda: len(line.readers) == 1)
+        publish(line, 1)
+        line.events.publish("value", "belt", {"n": 0, "of": "belt"})
+        assert await client.piece() == ""
+        again = await connect()
+        await again.open(f"?drive=conveyors&last_event_id={client.last_id}")
+        assert (await again.next()).data == {"n": 0, "of": "belt"}
+
+
+async def test_a_token_for_a_group_sees_no_drive_that_a_reload_took_out_of_it(
+    line: Line, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(event_readers, "LOOK_S", 0.02)
+    async with guarded_door(line, tmp_path) as door:
+        await door.give("reader", "read", targets=("conveyors",))
+        async with door.client("reader") as client, client.stream("GET", EVENTS) as answer:
+            parts = answer.aiter_text()
+            await anext(parts)
+            monkeypatch.setattr(
+                line.ops, "groups", lambda: (GroupFacts("conveyors", ("belt",), None),)
+            )
+            await until(lambda: not len(line.readers))
+            publish(line, 1)
+            assert "feeder" not in "".join([part async for part in parts])
 
 
 @pytest.mark.parametrize(

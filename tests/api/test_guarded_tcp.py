@@ -17,10 +17,12 @@ import httpx2
 import pytest
 from starlette.responses import StreamingResponse
 from starlette.routing import Route
+from starlette.types import Scope
 
 from lecombus.api import serve, tcp_connection, tls_connection
 from lecombus.api.server import Doors
 from lecombus.api.tls import TlsFileError, context_of
+from lecombus.api.token_access import TokenAccess
 from lecombus.errors import OperationError
 from lecombus.operations.actions import ACTOR
 from lecombus.tokens.secret import new_secret
@@ -114,6 +116,35 @@ async def test_a_revoked_and_an_expired_token_are_worth_nothing(line: Line, tmp_
             assert (await client.put(SETPOINT, json={"value": 3})).status_code == 401
             assert (await client.post("/v1/stop", json=STOP)).status_code == 401
     assert [one[3] for one in line.ops.asked] == [1]
+
+
+async def test_a_token_that_is_revoked_while_a_body_comes_writes_nothing(
+    line: Line, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A client may take ten seconds for the rest of its request."""
+    async with guarded_door(line, tmp_path) as door:
+        secret = await door.give("plc", "control")
+        begun = asyncio.Event()
+        judge = TokenAccess._judge
+
+        def judged(self: TokenAccess, scope: Scope) -> object:
+            begun.set()
+            return judge(self, scope)
+
+        monkeypatch.setattr(TokenAccess, "_judge", judged)
+        reader, writer = await asyncio.open_connection(*door.place)
+        rows = (f"PUT {SETPOINT} HTTP/1.1", "Host: localhost", f"Authorization: Bearer {secret}",
+                "Content-Length: 12", "", '{"val')  # fmt: skip
+        writer.write("\r\n".join(rows).encode())
+        await begun.wait()
+        await asyncio.sleep(0.05)
+        await door.revoke("plc")
+        writer.write(b'ue": 1}')
+        head = await reader.readuntil(b"\r\n\r\n")
+        writer.close()
+        assert head.startswith(b"HTTP/1.1 401"), head
+        assert b"connection: close" in head.lower()
+    assert line.ops.asked == []
 
 
 async def test_two_tokens_in_one_request_are_refused(line: Line, tmp_path: Path) -> None:

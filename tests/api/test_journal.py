@@ -9,6 +9,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import anyio
+import anyio.lowlevel
 import httpx2
 import pytest
 from starlette.applications import Starlette
@@ -157,3 +158,25 @@ async def test_one_that_cannot_be_read_is_a_problem(tmp_path: Path) -> None:
             assert answer.status_code == 503
             assert answer.json()["type"].endswith(":journal-failing")
     await journal.close()
+
+
+@pytest.mark.parametrize("query", [{"last": "true"}, {"after": "60"}])
+async def test_a_row_that_comes_while_rows_are_read_is_found_behind_the_head(
+    journal: Journal, client: httpx2.AsyncClient, query: dict[str, str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """Who follows asks for the rows behind the head: each row is given once."""
+    checkpoint = anyio.lowlevel.checkpoint
+
+    async def slow() -> None:
+        monkeypatch.setattr("lecombus.api.journal_routes.anyio.lowlevel.checkpoint", checkpoint)
+        journal.record("message", "a", {})
+        while journal.head.number < 63:  # noqa: ASYNC110 - a thread's work
+            await anyio.sleep(0.01)
+
+    monkeypatch.setattr("lecombus.api.journal_routes.anyio.lowlevel.checkpoint", slow)
+    page = (await client.get("/v1/journal", params=query)).json()
+    shown = [row["number"] for row in page["rows"]]
+    behind = page["next"] or int(page["head"].partition(":")[0])
+    more, _ = await numbers(client, after=str(behind))
+    assert [*shown, *more][-3:] == [61, 62, 63]

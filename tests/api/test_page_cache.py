@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 import anyio
+import anyio.lowlevel
 import httpx2
 import pytest
 
@@ -97,3 +98,22 @@ async def test_what_happened_to_a_drive_is_in_the_list_at_once(line: Line) -> No
         assert (await feeder())["values"][0]["reason"] == "no answer"
         line.store.drive_state("feeder", DriveState.OFFLINE, "silent")
         assert (await feeder())["state"] == "offline"
+
+
+@pytest.mark.parametrize("turns", range(8))
+async def test_a_drive_that_leaves_while_the_page_is_rendered_is_left_out(
+    client: httpx2.AsyncClient, line: Line, turns: int
+) -> None:
+    """A reload may take it out between two values."""
+    got: list[httpx2.Response] = []
+
+    async def ask() -> None:
+        got.append(await client.get("/v1/drives"))
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(ask)
+        for _ in range(turns):
+            await anyio.lowlevel.checkpoint()
+        line.store.remove_drive("belt")
+    assert got[0].status_code == 200, got[0].text
+    assert "feeder" in [one["drive"] for one in got[0].json()["drives"]]

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import threading
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import anyio
+import anyio.to_thread
 import pytest
 
 from lecombus.api.token_watch import TokenWatch
 from lecombus.tokens.grants import Scope
 from lecombus.tokens.secret import digest_of, new_secret
-from lecombus.tokens.token_file import TokenEntry, write_tokens
+from lecombus.tokens.token_file import TokenEntry, Tokens, read_tokens, write_tokens
 
 pytestmark = [pytest.mark.anyio, pytest.mark.clock]
 
@@ -121,3 +127,52 @@ async def test_a_reload_reads_also_what_did_not_change(watched: Watched) -> None
     assert len(watched.notes) == 1
     await watched.watch.look(always=True)
     assert len(watched.notes) == 2
+
+
+async def test_a_file_that_could_not_be_read_for_a_moment_is_read_again(
+    watched: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its time and size are those of before: a revocation must not wait for the next change."""
+    secret = new_secret()
+    write_tokens(watched.path, [entry(secret)])
+    await watched.watch.look()
+    write_tokens(watched.path, [])
+
+    def no_file_left(path: Path, *flags: Any) -> int:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE), str(path))
+
+    with monkeypatch.context() as patched:
+        patched.setattr("lecombus.tokens.token_file.os.open", no_file_left)
+        await watched.watch.look()
+        await watched.watch.look()
+    assert watched.watch.find(secret) is not None
+    assert len(watched.notes) == 2, "said once, not at every look"
+    await watched.watch.look()
+    assert watched.watch.find(secret) is None
+    assert watched.notes[-1] is None
+
+
+async def test_a_slow_look_does_not_bring_back_what_a_later_one_found_revoked(
+    watched: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    secret = new_secret()
+    write_tokens(watched.path, [entry(secret)])
+    began, revoked = threading.Event(), threading.Event()
+    reads: list[Tokens] = []
+
+    def slow(path: Path) -> Tokens:
+        reads.append(read_tokens(path))
+        if len(reads) == 1:
+            began.set()
+            revoked.wait(5)
+        return reads[-1]
+
+    monkeypatch.setattr("lecombus.api.token_watch.read_tokens", slow)
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(watched.watch.look)
+        await anyio.to_thread.run_sync(began.wait, 5)
+        write_tokens(watched.path, [])
+        tasks.start_soon(partial(watched.watch.look, always=True))
+        await anyio.sleep(0.1)
+        revoked.set()
+    assert watched.watch.find(secret) is None

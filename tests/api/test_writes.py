@@ -758,6 +758,22 @@ async def test_keys_that_could_not_be_read_at_the_start_are_read_before_the_next
         await later.run(keyed("k"), b"z", never)
 
 
+async def test_a_request_without_a_key_is_not_refused_for_the_one_before_it() -> None:
+    """The task of a request has the context of the one before on the same connection."""
+    kept = KeptKeys()
+    kept.cannot_be_read = "it is in use by another program"
+    keys = Idempotency(lambda: 5.0, cast(Journal, kept), None)
+    assert (await keys.run(keyed("k"), b"x", enable)).status_code == 200
+    seen: list[str] = []
+
+    async def act() -> Response:
+        seen.append(NOT_KNOWN.get())
+        return await enable()
+
+    await keys.run(Request({"type": "http", "headers": []}), b"x", act)
+    assert seen == [""]
+
+
 async def enable() -> Response:
     return Response('{"outcome": "verified"}', 200, media_type="application/json")
 

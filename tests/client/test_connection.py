@@ -181,6 +181,40 @@ def test_a_proxy_that_lost_the_answer_leaves_the_outcome_unknown(first: Handler 
     run(work())
 
 
+@pytest.mark.usefixtures("clock")
+@pytest.mark.parametrize(
+    ("status", "kind"), [(503, "queue-full"), (429, "too-many-failures"), (401, "bad-token")]
+)
+def test_a_repeat_that_is_turned_away_says_nothing_of_the_first_request(
+    status: int, kind: str
+) -> None:
+    """The daemon refuses it before it looks at its key; the first may be under way, or done."""
+    away = httpx2.Response(status, json={"type": f"urn:lecombus:problem:{kind}", "detail": kind})
+    script = Script(broken, away)
+    line = line_of(httpx2.MockTransport(script))
+
+    async def work() -> None:
+        result = await line.drive("feeder").write("C0046", 5)
+        assert (result.outcome, result.kind) == ("unknown", "answer-lost")
+        script.steps[:] = [broken, away, DONE]
+        assert (await line.drive("feeder").write("C0046", 5)).outcome is Outcome.DONE
+
+    run(work())
+
+
+@pytest.mark.usefixtures("clock")
+def test_a_repeat_that_is_refused_by_its_key_was_not_carried_out() -> None:
+    said = {"type": "urn:lecombus:problem:queue-full", "outcome": "refused", "sent": False}
+    script = Script(broken, httpx2.Response(503, json=said))
+    line = line_of(httpx2.MockTransport(script))
+
+    async def work() -> None:
+        assert (await line.drive("feeder").write("C0046", 5)).outcome is Outcome.REFUSED
+
+    run(work())
+    assert len(script.asked) == 2
+
+
 def test_what_is_not_lecombus_is_said_to_be_so() -> None:
     line = line_of(httpx2.MockTransport(Script(httpx2.Response(200, text="<html>"))))
 

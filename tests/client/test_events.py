@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ssl
 from collections.abc import AsyncIterator, Callable
 from contextlib import aclosing
 from decimal import Decimal
@@ -150,3 +151,25 @@ def test_a_refusal_is_an_error_also_after_events(status: int) -> None:
         served = Served(*before, httpx2.Response(status, json=refused))
         with pytest.raises(ProblemError, match="there is no drive a"):
             read(served)
+
+
+@pytest.mark.parametrize("status", [502, 503, 504])
+def test_a_proxy_that_cannot_reach_the_daemon_is_waited_for(status: int) -> None:
+    """What a proxy says is no problem document."""
+    away = httpx2.Response(status, text="<html>Bad Gateway</html>")
+    served = Served(streamed(frame(1)), away, streamed(frame(2)))
+    assert [event.data["n"] for event in read(served, count=2)] == [1, 2]
+    with pytest.raises(UnreachableError, match=f"HTTP status {status}"):
+        read(Served(httpx2.Response(status, text="<html>")))
+
+
+def test_a_stream_whose_tls_breaks_goes_on_too() -> None:
+    """httpx2 leaves some errors of the ssl module as they are."""
+    served = Served(
+        streamed(frame(1), then=ssl.SSLError("bad record mac")),
+        ssl.SSLError("bad record mac"),
+        streamed(frame(2)),
+    )
+    assert [event.data["n"] for event in read(served, count=2)] == [1, 2]
+    with pytest.raises(UnreachableError, match="broke"):
+        read(Served(ssl.SSLError("bad record mac")))

@@ -248,6 +248,31 @@ def test_a_lease_that_is_not_granted_is_an_error_before_the_block() -> None:
     with_daemon(work)
 
 
+@pytest.mark.parametrize("renews", [True, False])
+def test_a_time_that_a_reload_shortened_counts_for_the_client_too(renews: bool) -> None:
+    """The daemon answers each renewal with the time that holds from then on."""
+
+    async def work(line: Line, fake: FakeDaemon) -> None:
+        fake.renewal = lambda: (
+            httpx2.Response(200, json=fake.document(2) | {"time_s": 1.0})
+            if len(fake.renewals) == 1
+            else broken()
+        )
+
+        async def block() -> None:
+            async with line.lease("winder", ["both"], TIME_S, renews=renews) as lease:
+                await anyio.sleep(0.5)
+                if not renews:
+                    await lease.renew()
+                await anyio.sleep(100)
+
+        with pytest.raises(LeaseLostError, match="was not renewed within 1 s"):
+            await block()
+        assert anyio.current_time() == pytest.approx(fake.renewals[0][0] + 1.0)
+
+    with_daemon(work)
+
+
 @pytest.mark.clock
 def test_an_event_loop_that_stalls_loses_the_lease() -> None:
     async def work() -> None:

@@ -195,7 +195,9 @@ class EventReaders:
         outlet: Outlet,
         wanted: EventFilter,
         last_id: str,
-        check: Callable[[], Awaitable[None]] | None = None,
+        check: Callable[[], Awaitable[bool]] | None = None,
+        *,
+        over_tcp: bool = False,
     ) -> None:
         """Write events to a client until it goes, is cut, or lecombus ends.
 
@@ -203,15 +205,15 @@ class EventReaders:
             outlet: Where they are written.
             wanted: Which it wants.
             last_id: The last event it had; empty: it begins now.
-            check: Asked once a second for a client over TCP: it raises when the client may read
-                no more. None: the client came over the Unix socket.
+            check: Asked once a second whether the client may go on reading these; it may raise as
+                well. None: nothing can change that.
+            over_tcp: The client came over TCP.
         """
         if self._is_over:
             return
         self._stream.record(encode)
         position, gap = self._stream.position_after(last_id)
         now_s = self._clock()
-        over_tcp = check is not None
         reader = Reader(outlet, wanted, position, over_tcp=over_tcp, now_s=now_s)
         outlet.narrow()
         outlet.write(RETRY + self._stream.mark(position) + gap)
@@ -220,7 +222,8 @@ class EventReaders:
         self._came.set()
         try:
             while check is not None and not reader.ended.is_set():
-                await check()
+                if not await check():
+                    return
                 with anyio.move_on_after(LOOK_S):
                     await reader.ended.wait()
             await reader.ended.wait()

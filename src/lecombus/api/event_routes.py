@@ -5,7 +5,7 @@ Its form is that of server-sent events (WHATWG HTML 9.2), as a browser's `EventS
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from starlette.requests import Request
@@ -17,7 +17,7 @@ from lecombus.api.event_readers import OUTLET, EventReaders
 from lecombus.api.limits import EVENTS_PATH
 from lecombus.api.request_checks import read_query, refusal
 from lecombus.api.request_models import EventQuery
-from lecombus.api.scopes import members_of, reaches, require_target
+from lecombus.api.scopes import members_of, require_target
 from lecombus.drive_state.store import Store
 from lecombus.errors import meant
 from lecombus.event_stream import KINDS, EventFilter
@@ -61,7 +61,16 @@ class EventRoutes:
         over_tcp = ACTOR.get().who == "tcp"
         self._readers.require_room(over_tcp=over_tcp)
         last_id = request.headers.get(LAST_ID, query.last_event_id)
-        return EventResponse(self._readers, self._filter(query), last_id, over_tcp=over_tcp)
+        wanted, words = self._filter(query), words_of(query.drive)
+
+        def still_holds() -> bool:  # a reload may change what a group is
+            return (self._drives_of(words), self._visible()) == (wanted.drives, wanted.visible)
+
+        names_no_group = wanted.visible is None and wanted.drives == set(words)
+        return EventResponse(
+            self._readers, wanted, last_id, None if names_no_group else still_holds,
+            over_tcp=over_tcp,
+        )  # fmt: skip
 
     def _filter(self, query: EventQuery) -> EventFilter:
         """Return what a request may and wants to read."""
@@ -69,18 +78,27 @@ class EventRoutes:
         for kind in kinds:
             if kind not in KINDS:
                 raise refusal(f"there are no events of kind {kind}", meant(kind, KINDS, "kinds"))
-        drives: set[str] = set()
-        for name in words_of(query.drive):
+        names = words_of(query.drive)
+        for name in names:
             require_target(name, self._ops)
-            members = members_of(name, self._ops)
-            if members == (name,):
+            if members_of(name, self._ops) == (name,):
                 self._store.family(name)  # there is such a drive
-            drives.update(members)
-        visible = None
-        if not ACTOR.get().grant.is_whole:
-            names = self._store.names()
-            visible = frozenset(name for name in names if reaches((name,), self._ops))
-        return EventFilter(frozenset(drives), frozenset(kinds), visible)
+        return EventFilter(self._drives_of(names), frozenset(kinds), self._visible())
+
+    def _drives_of(self, names: Sequence[str]) -> frozenset[str]:
+        """Return drives, and for each group its members."""
+        if not names:
+            return frozenset()
+        groups = {one.name: one.members for one in self._ops.groups()}
+        return frozenset(drive for name in names for drive in groups.get(name, (name,)))
+
+    def _visible(self) -> frozenset[str] | None:
+        """Return the drives that the client may see; None: all."""
+        grant = ACTOR.get().grant
+        if grant.is_whole:
+            return None
+        groups = {one.name: one.members for one in self._ops.groups()}
+        return frozenset(name for name in self._store.names() if grant.reaches((name,), groups))
 
 
 class EventResponse(Response):
@@ -90,16 +108,24 @@ class EventResponse(Response):
         readers: All who read.
         wanted: Which events it carries.
         last_id: The last event that the client had.
+        still_holds: Whether it would carry the same events if it were asked for now; None: always.
         over_tcp: Whether the client came over TCP.
     """
 
     def __init__(
-        self, readers: EventReaders, wanted: EventFilter, last_id: str, *, over_tcp: bool
+        self,
+        readers: EventReaders,
+        wanted: EventFilter,
+        last_id: str,
+        still_holds: Callable[[], bool] | None,
+        *,
+        over_tcp: bool,
     ) -> None:
         super().__init__(media_type=EVENTS_TYPE)
         self._readers = readers
         self._wanted = wanted
         self._last_id = last_id
+        self._still_holds = still_holds
         self._over_tcp = over_tcp
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -112,12 +138,16 @@ class EventResponse(Response):
         await send({"type": "http.response.start", "status": 200, "headers": headers})
         if scope["method"] != "HEAD":
 
-            async def check() -> None:  # the door's `send` ends the answer of a revoked token
-                await send({"type": "http.response.body", "body": b"", "more_body": True})
+            async def check() -> bool:
+                if self._over_tcp:  # the door's `send` ends the answer of a revoked token
+                    await send({"type": "http.response.body", "body": b"", "more_body": True})
+                return self._still_holds is None or self._still_holds()
 
+            checked = self._over_tcp or self._still_holds is not None
             await self._readers.read(
-                scope[OUTLET], self._wanted, self._last_id, check if self._over_tcp else None
-            )
+                scope[OUTLET], self._wanted, self._last_id, check if checked else None,
+                over_tcp=self._over_tcp,
+            )  # fmt: skip
         await send({"type": "http.response.body", "body": b""})
 
 

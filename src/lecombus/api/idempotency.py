@@ -135,6 +135,7 @@ class Idempotency:
         """
         keys, ago_s = keys_of(request), asked_ago_s(request)
         if not keys:
+            NOT_KNOWN.set("")  # it is that of the request before on the same connection
             return await act()
         check_keys(keys)
         key = keys[0]

@@ -7,6 +7,7 @@ between values, so that no request holds the event loop for long. The line is as
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from typing import Final
@@ -25,6 +26,7 @@ from lecombus.api.scopes import reaches
 from lecombus.drive_state.readings import DriveInfo, json_value
 from lecombus.drive_state.store import Store
 from lecombus.drives.descriptions import code_document, family_document
+from lecombus.errors import OperationError
 from lecombus.operations.actions import ACTOR
 from lecombus.operations.facade import Operations
 from lecombus.parameters import Json
@@ -201,7 +203,10 @@ class ReadRoutes:
         return [info for info in self._store.drives() if reaches((info.name,), self._ops)]
 
     async def _drives_text(self) -> bytes:
-        texts = [await self._drive_text(info) for info in self._visible()]
+        texts = []
+        for info in self._visible():
+            with contextlib.suppress(OperationError):  # a reload took it out in between
+                texts.append(await self._drive_text(info))
         return ('{"drives": [' + ", ".join(texts) + "]}").encode()
 
     async def _drive_text(self, info: DriveInfo) -> str:

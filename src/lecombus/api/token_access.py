@@ -5,7 +5,8 @@ Each request carries its token (`Authorization: Bearer lcb_..`). Without a valid
 this counts by address and never refuses a valid token, so no client can lock out another. What a
 token allows is asked behind the router (`scopes`).
 
-An answer that is still being sent when its token is revoked or expires ends there.
+A request whose body is still coming when its token is revoked or expires is not carried out, and
+an answer that is being sent ends there.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from typing import Final
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from lecombus.api.access import CLOSE, site_problem
-from lecombus.api.answers import ProblemDocument
+from lecombus.api.answers import ProblemDocument, RefusedRequestError
 from lecombus.api.limits import SparseLog
 from lecombus.api.token_watch import TokenWatch
 from lecombus.operations.actions import ACTOR
@@ -200,6 +201,12 @@ class TokenAccess:
     async def _answer(
         self, app: ASGIApp, entry: TokenEntry, scope: Scope, receive: Receive, send: Send
     ) -> None:
+        async def receive_while_valid() -> Message:
+            message = await receive()
+            if message["type"] == "http.request" and not self._tokens.holds(entry):
+                raise RefusedRequestError(BAD_TOKEN)
+            return message
+
         async def send_while_valid(message: Message) -> None:
             if message.get("more_body") and not self._tokens.holds(entry):
                 await send({"type": "http.response.body", "body": b"", "more_body": False})
@@ -207,7 +214,7 @@ class TokenAccess:
             await send(message)
 
         try:
-            await app(scope, receive, send_while_valid)
+            await app(scope, receive_while_valid, send_while_valid)
         except TokenEndedError:
             return
         except BaseExceptionGroup as group:  # raised again if it holds anything else

@@ -2,6 +2,8 @@
 
 A file that is refused changes nothing: the tokens read before it stay, and the caller is given the
 reason until a good file is there. Before the first good one, and without a file, no token is valid.
+A file that the system does not give is asked for again at each look: it may hold a revocation, and
+nothing of it need change before it can be read.
 """
 
 from __future__ import annotations
@@ -47,6 +49,8 @@ class TokenWatch:
         self._note = note
         self._tokens = Tokens()
         self._mark: Mark | str = "not read yet"
+        self._refused = ""  # why the file is not used
+        self._looking = anyio.Lock()
 
     def find(self, secret: str) -> TokenEntry | None:
         """Return the valid token with a secret, if there is one."""
@@ -68,20 +72,23 @@ class TokenWatch:
         Args:
             always: Also if it did not.
         """
-        mark = await anyio.to_thread.run_sync(mark_of, self._path, abandon_on_cancel=True)
-        if always or mark != self._mark:
-            self._mark = mark
-            await self._read()
+        async with self._looking:  # of two reads the later one must count
+            mark = await anyio.to_thread.run_sync(mark_of, self._path, abandon_on_cancel=True)
+            if always or mark != self._mark:
+                await self._read(mark, always=always)
 
-    async def _read(self) -> None:
+    async def _read(self, mark: Mark, *, always: bool) -> None:
         try:
             tokens = await anyio.to_thread.run_sync(read_tokens, self._path, abandon_on_cancel=True)
         except OperationError as exc:
-            logger.error("event=tokens-refused reason=%s", exc)
-            self._note(f"{exc}; the tokens that were read before stay valid ({exc.remedy})")
+            self._mark = "not read" if isinstance(exc.__cause__, OSError) else mark
+            if always or str(exc) != self._refused:
+                logger.error("event=tokens-refused reason=%s", exc)
+                self._note(f"{exc}; the tokens that were read before stay valid ({exc.remedy})")
+            self._refused = str(exc)
             return
         logger.info("event=tokens-read file=%s tokens=%d", self._path, len(tokens.entries))
-        self._tokens = tokens
+        self._tokens, self._mark, self._refused = tokens, mark, ""
         self._note(None)
 
 

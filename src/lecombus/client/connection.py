@@ -4,8 +4,9 @@ Strategy: a question (`ask`) is repeated once when a connection that was kept op
 closed. A request that acts (`act`) carries an `Idempotency-Key` and is repeated only when its
 connection broke after it may have been sent. The repeat says with `Lecombus-Asked` how long ago it
 was asked for first, so that the daemon gives the first answer, or carries it out if nothing of it
-was done and no stop came since. What is asked for after `repeat_for_s` is not asked for again: the
-answer is lost (`AnswerLostError`), and so the outcome is unknown.
+was done and no stop came since. A repeat that the daemon turned away before it looked at its key
+says nothing of the first request, and is repeated too. What is asked for after `repeat_for_s` is
+not asked for again: the answer is lost (`AnswerLostError`), and so the outcome is unknown.
 """
 
 from __future__ import annotations
@@ -70,6 +71,10 @@ BROKEN: Final = (
     httpx2.DecodingError,
 )  # fmt: skip
 """A connection that ended, or an answer that cannot be read, after a request may have been sent."""
+
+
+TURNED_AWAY: Final = frozenset((401, 429, 503))
+"""HTTP statuses without an outcome: of a daemon that has not looked at the key."""
 
 
 class AnswerLostError(UnreachableError):
@@ -154,10 +159,13 @@ class Connection:
         while (ago_s := now_s() - begun_s) < self._repeat_for_s:
             sent[ASKED] = seconds_text(asked_ago_s + ago_s)
             try:
-                return self._end_of(await self._send(method, path, document, sent))
+                answer = self._end_of(await self._send(method, path, document, sent))
             except UnreachableError as exc:
                 if isinstance(exc.__cause__, httpx2.TimeoutException):
                     break
+            else:
+                if not is_turned_away(answer):
+                    return answer
             await self._pause(pause_s)
             pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
         raise lost
@@ -360,6 +368,12 @@ async def block(for_s: float) -> None:
 def seconds_text(for_s: float) -> str:
     """Return seconds as `Lecombus-Asked` takes them, never less than they are."""
     return f"{math.ceil(for_s * 1000) / 1000:.3f}"
+
+
+def is_turned_away(answer: Answer) -> bool:
+    """Whether a repeat was refused before it was known what became of the first request."""
+    document: Document = answer.data if isinstance(answer.data, dict) else {}
+    return answer.status in TURNED_AWAY and not document.get("outcome")
 
 
 def problem_error(answer: Answer) -> ProblemError:

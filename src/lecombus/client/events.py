@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import math
+import ssl
 from collections.abc import AsyncGenerator, Iterator, Mapping
 from contextlib import aclosing
 from dataclasses import dataclass
@@ -151,7 +152,7 @@ async def read_events(
                         yield event
                     last_id = frames.last_id
         except UnreachableError as exc:
-            may_pass = isinstance(exc.__cause__, httpx2.HTTPError | PassingError)
+            may_pass = isinstance(exc.__cause__, httpx2.HTTPError | ssl.SSLError | PassingError)
             if not may_pass or anyio.current_time() - heard_s >= patience_s:
                 raise
         # An answer that ends: the daemon stops, or has dropped a reader that was too slow.
@@ -180,12 +181,20 @@ async def answer_bytes(
         ) as response:
             if response.status_code != 200:
                 await response.aread()
-                problem = problem_error(connection.answer_of(response))
+                problem = refusal_of(connection, response)
                 if response.status_code in PASSING:
                     text = f"the daemon at {connection.where} gives no events: {problem.problem}"
                     raise UnreachableError(text, problem.remedy, problem.kind) from PassingError()
                 raise problem
             async for data in response.aiter_bytes():
                 yield data
-    except httpx2.HTTPError as exc:
+    except (httpx2.HTTPError, ssl.SSLError) as exc:
         raise connection.unreachable(exc) from exc
+
+
+def refusal_of(connection: Connection, response: httpx2.Response) -> ClientError:
+    """Return the error that an answer without events stands for; a proxy's is none of lecombus."""
+    try:
+        return problem_error(connection.answer_of(response))
+    except UnreachableError as exc:
+        return exc

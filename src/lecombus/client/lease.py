@@ -46,8 +46,7 @@ class Lease:
         token: What writes under it carry; the library adds it.
         targets: The drives and groups as they were named.
         drives: The drives.
-        time_s: It lapses so long after the last renewal, seconds.
-        valid_until_s: When it ends unless it is renewed, by `anyio.current_time`.
+        time_s: It lapses so long after the last renewal, seconds; a reload may have shortened it.
         document: What the daemon said last.
         lost: Why it was lost; None: it is held.
     """
@@ -63,9 +62,14 @@ class Lease:
         self.targets = tuple(answer.get("targets") or ())
         self.drives = tuple(answer["drives"])
         self.time_s = float(answer["time_s"])
-        self.valid_until_s = asked_s + self.time_s
+        self._renewed_s = asked_s
         self.document = answer
         self.lost: ClientError | None = None
+
+    @property
+    def valid_until_s(self) -> float:
+        """When it ends unless it is renewed, by `anyio.current_time`."""
+        return self._renewed_s + self.time_s
 
     @property
     def latched(self) -> tuple[str, ...]:
@@ -100,7 +104,8 @@ class Lease:
         found: Document = answer.data if isinstance(answer.data, dict) else {}
         if answer.status == 200:
             self.document = found
-            self.valid_until_s = max(self.valid_until_s, asked_s + self.time_s)
+            self.time_s = float(found.get("time_s") or self.time_s)
+            self._renewed_s = max(self._renewed_s, asked_s)
         elif answer.status >= 500 or answer.status == 429:
             raise UnreachableError(problem_error(answer).problem)
         elif kind_of(found) != NEWER:
@@ -115,9 +120,9 @@ class Lease:
 
     async def keep(self) -> None:
         """Renew it until it is lost."""
-        every_s = self.time_s / RENEWALS
         next_s = anyio.current_time()
         while self.lost is None:
+            every_s = self.time_s / RENEWALS
             next_s = max(next_s + every_s, anyio.current_time())
             await anyio.sleep_until(min(next_s, self.valid_until_s))
             # A renewal that is held up must not keep the next one from being sent. Of those that
@@ -189,7 +194,7 @@ async def hold(
 async def watch(lease: Lease) -> None:
     """Wait until a lease that its block renews has ended."""
     while (left_s := lease.left_s) > 0 and lease.lost is None:  # noqa: ASYNC110 - it is renewed
-        await anyio.sleep(left_s)
+        await anyio.sleep(min(left_s, lease.time_s / RENEWALS))  # a renewal may shorten it
     if lease.lost is None:
         lease.end(f"lease {lease.name} was not renewed within {lease.time_s:g} s")
 
