@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
+import pwd
 import stat
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -139,3 +143,40 @@ def test_a_token_that_could_not_be_kept_leaves_no_file(
     assert ran.err == f"{file}: no space left on device\n"
     assert run(*words).status == 0
     assert read_tokens(file).find(output.read_text().strip(), time.time()) is not None
+
+
+def test_another_process_that_locks_the_folder_does_not_keep_a_token_from_being_revoked(
+    run: Run, file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every user who may read the folder may lock it."""
+    monkeypatch.setattr("lecombus.cli.token.LOCK_S", 0.0)
+    run("token", "new", "a", "--scope", "read")
+    folder = os.open(file.parent, os.O_RDONLY)
+    fcntl.flock(folder, fcntl.LOCK_EX)
+    try:
+        ran = run("token", "revoke", "a")
+    finally:
+        os.close(folder)
+    assert ran.status == 0
+    assert "another process keeps" in ran.err
+    assert list(read_tokens(file)) == []
+
+
+@pytest.mark.parametrize(("user", "daemon", "status"), [(0, 4242, 0), (0, 7, 1), (7, 4242, 1)])
+def test_root_changes_a_file_of_the_daemons_user_and_of_no_other(
+    run: Run, file: Path, monkeypatch: pytest.MonkeyPatch, user: int, daemon: int, status: int
+) -> None:
+    run("token", "new", "a", "--scope", "read")
+    real = os.fstat
+
+    def foreign(descriptor: int) -> os.stat_result:
+        found = list(real(descriptor))
+        found[4] = 4242
+        return os.stat_result(found)
+
+    monkeypatch.setattr(os, "fstat", foreign)
+    monkeypatch.setattr(os, "geteuid", lambda: user)
+    monkeypatch.setattr(pwd, "getpwnam", lambda name: SimpleNamespace(pw_uid=daemon))
+    for words in (("token", "list"), ("token", "revoke", "a")):
+        ran = run(*words)
+        assert (ran.status, "belongs to user 4242" in ran.err) == (status, status != 0)

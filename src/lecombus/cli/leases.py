@@ -1,14 +1,19 @@
 """`lecombus leases`: who controls which drives; `lecombus lease`: a command under a lease.
 
 `lease` holds the lease in this process for as long as its command runs, and gives the command the
-token in `LECOMBUS_LEASE`, which all commands of lecombus send with what they write.
+token in `LECOMBUS_LEASE`, which all commands of lecombus send with what they write. They ask the
+daemon that gave the lease, in every folder, also where the environment named another.
 """
 
 from __future__ import annotations
 
 import os
 import shutil
+import signal
 from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
 
 import click
 
@@ -17,8 +22,17 @@ from lecombus.cli.daemon_access import LEASE_VARIABLE, ask, command_errors, conn
 from lecombus.cli.document_rows import Document, cells_of
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.screen import on_terminal, show_rows
+from lecombus.client.finding import find_daemon
+
+if TYPE_CHECKING:
+    from anyio.abc import Process
 
 __all__ = ["lease_command", "leases_command"]
+
+ENDS: Final = (signal.SIGTERM, signal.SIGHUP, signal.SIGKILL)
+"""What a command is ended with, one after the other: an interactive shell ignores the first."""
+
+END_WITHIN_S: Final = 2.0
 
 
 @click.command("leases")
@@ -106,14 +120,38 @@ async def hold(
     async with connected(daemon) as line:
         with command_errors():
             async with line.lease(name, targets, time_s, take_over=take_over) as held:
-                variables = {**os.environ, LEASE_VARIABLE: held.token}
-                if daemon.socket:
-                    variables["LECOMBUS_SOCKET"] = daemon.socket
+                variables = variables_of(daemon, held.token)
                 program = await anyio.open_process(
                     command, env=variables, stdin=None, stdout=None, stderr=None
                 )
                 try:
                     return await program.wait()
                 finally:
-                    if program.returncode is None:
-                        program.terminate()
+                    await end(program)
+
+
+def variables_of(daemon: DaemonOptions, token: str) -> dict[str, str]:
+    """Return the environment in which commands ask the same daemon, with a lease's token."""
+    found = {**os.environ, LEASE_VARIABLE: token}
+    for name in ("LECOMBUS_SOCKET", "LECOMBUS_URL"):
+        found.pop(name, None)
+    path, url = find_daemon(daemon.socket, daemon.url)
+    if url:
+        found["LECOMBUS_URL"] = url
+    files = {
+        "LECOMBUS_SOCKET": path, "LECOMBUS_TOKEN_FILE": daemon.token_file,
+        "LECOMBUS_CA": daemon.ca, "LECOMBUS_CERTIFICATE": daemon.certificate,
+    }  # fmt: skip
+    return found | {name: str(Path(file).absolute()) for name, file in files.items() if file}
+
+
+async def end(program: Process) -> None:
+    """End a command that has not ended, also one that ignores signals."""
+    import anyio
+
+    for number in ENDS:
+        if program.returncode is None:
+            with suppress(ProcessLookupError):
+                program.send_signal(number)
+            with anyio.move_on_after(END_WITHIN_S, shield=True):
+                await program.wait()

@@ -9,6 +9,7 @@ import fcntl
 import json
 import os
 import re
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
@@ -30,6 +31,7 @@ from lecombus.tokens.token_file import (
     Tokens,
     document_of,
     now_rounded,
+    owners_for_root,
     read_tokens,
     write_tokens,
 )
@@ -39,6 +41,10 @@ __all__ = ["token_command"]
 DEFAULT_FILE: Final = "/etc/lecombus/tokens"
 LONGEST: Final = timedelta(days=20 * 365)
 SECRET_MODE: Final = 0o600
+LOCK_S: Final = 5.0
+"""Longer than any other command needs. Every user who may read the folder may lock it, and that
+must not keep a token from being revoked."""
+LOCK_LOOK_S: Final = 0.05
 
 
 def _expiry(word: str) -> datetime:
@@ -176,7 +182,7 @@ def list_command(file: Path | None, roster: Path | None, as_json: bool) -> int:
     In a pipe: name, scopes, targets, created, expires, valid or expired.
     """
     path = _path(file, roster)
-    tokens = read_tokens(path)
+    tokens = read_tokens(path, owners=owners_for_root())
     if as_json:
         click.echo(json.dumps({"file": str(path), "tokens": [document_of(one) for one in tokens]}))
         return Exit.DONE
@@ -233,10 +239,25 @@ def _changing(path: Path) -> Iterator[Tokens]:
     """Give the tokens of a file that no other command changes at the same time."""
     folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
-        fcntl.flock(folder, fcntl.LOCK_EX)
-        yield read_tokens(path)
+        _lock(folder, path.parent)
+        yield read_tokens(path, owners=owners_for_root())
     finally:
         os.close(folder)
+
+
+def _lock(folder: int, name: Path) -> None:
+    """Wait for other commands that change a file in a folder; says so if that takes too long."""
+    until_s = time.monotonic() + LOCK_S
+    while True:
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() >= until_s:
+                click.echo(f"another process keeps {name} locked: changed all the same", err=True)
+                return
+            time.sleep(LOCK_LOOK_S)
+        else:
+            return
 
 
 def _write_secret(path: Path, secret: str) -> None:

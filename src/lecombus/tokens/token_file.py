@@ -14,9 +14,10 @@ import grp
 import hmac
 import json
 import os
+import pwd
 import stat
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -35,6 +36,7 @@ __all__ = [
     "Tokens",
     "document_of",
     "now_rounded",
+    "owners_for_root",
     "read_tokens",
     "write_tokens",
 ]
@@ -49,8 +51,8 @@ NAME: Final = r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,39}"
 """A token's name: it stands in logs and in the journal."""
 
 MODE: Final = 0o640
-GROUP: Final = "lecombus"
-"""The daemon's group, where root writes the file."""
+DAEMON: Final = "lecombus"
+"""The daemon's user, and its group, where root writes the file."""
 
 
 class TokenEntry(BaseModel):
@@ -144,19 +146,20 @@ class Tokens:
         return next((one for one in self.entries if one.name == name), None)
 
 
-def read_tokens(path: Path, *, of_any_user: bool = False) -> Tokens:
+def read_tokens(path: Path, *, of_any_user: bool = False, owners: Collection[int] = ()) -> Tokens:
     """Return the tokens of a file; none if there is no file.
 
     Args:
         path: The file.
         of_any_user: It may belong to another user than root and that of this process: the
             daemon's is not known here.
+        owners: Users that it may belong to besides.
 
     Raises:
         OperationError: `tokens`: it cannot be read, others may write it, or it is not such a file.
     """
     try:
-        data = _read(path, of_any_user=of_any_user)
+        data = _read(path, None if of_any_user else {0, os.geteuid(), *owners})
     except FileNotFoundError:
         return Tokens()
     except OSError as exc:
@@ -172,7 +175,17 @@ def read_tokens(path: Path, *, of_any_user: bool = False) -> Tokens:
         raise refused(path, f"it is no JSON ({exc})", "make tokens by `lecombus token`") from None
 
 
-def _read(path: Path, *, of_any_user: bool) -> bytes:
+def owners_for_root() -> set[int]:
+    """Return the daemon's user if root asks: root may change the file that the daemon reads."""
+    if os.geteuid() != 0:
+        return set()
+    try:
+        return {pwd.getpwnam(DAEMON).pw_uid}
+    except KeyError:
+        return set()
+
+
+def _read(path: Path, owners: Collection[int] | None) -> bytes:
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     with os.fdopen(descriptor, "rb") as file:
         found = os.fstat(descriptor)
@@ -181,7 +194,7 @@ def _read(path: Path, *, of_any_user: bool) -> bytes:
         if found.st_mode & 0o022:
             mode = f"its mode is {stat.S_IMODE(found.st_mode):04o}"
             raise refused(path, f"others may write it: {mode}", f"chmod 0640 {path}")
-        if not of_any_user and found.st_uid not in (0, os.geteuid()):
+        if owners is not None and found.st_uid not in owners:
             what = f"it belongs to user {found.st_uid}"
             raise refused(path, what, f"give it to root or to the daemon's user: chown root {path}")
         data = file.read(LARGEST + 1)
@@ -237,7 +250,7 @@ def _group() -> int:
     if os.geteuid() != 0:
         return -1
     try:
-        return grp.getgrnam(GROUP).gr_gid
+        return grp.getgrnam(DAEMON).gr_gid
     except KeyError:
         return -1
 

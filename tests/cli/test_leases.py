@@ -1,0 +1,98 @@
+"""`lecombus lease`: which daemon its command asks, and that the command ends with the lease."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+
+import anyio
+import pytest
+
+from cli.daemon_stub import serve_stub
+from lecombus.cli import leases
+from lecombus.cli.arguments import DaemonOptions
+from lecombus.cli.exits import CommandError
+from lecombus.cli.leases import hold, variables_of
+
+HERE = DaemonOptions(None, None, as_json=False)
+
+GRANTED = {
+    "name": "service", "token": "7-secret", "targets": ["feeder"], "drives": ["feeder"],
+    "time_s": 1.0, "counter": 1, "latched": [],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("variable", "daemon", "wanted"),
+    [
+        ("LECOMBUS_SOCKET", DaemonOptions("b.sock", None, as_json=False), {"SOCKET": "b.sock"}),
+        ("LECOMBUS_URL", DaemonOptions("b.sock", None, as_json=False), {"SOCKET": "b.sock"}),
+        (
+            "LECOMBUS_SOCKET",
+            DaemonOptions(None, "https://b:1", False, "b.token", "ca.pem", "own.pem"),
+            {"URL": "https://b:1", "TOKEN_FILE": "b.token", "CA": "ca.pem",
+             "CERTIFICATE": "own.pem"},
+        ),
+        ("LECOMBUS_SOCKET", HERE, {"SOCKET": "a"}),
+    ],
+)  # fmt: skip
+def test_the_command_asks_the_daemon_that_gave_the_lease(
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    variable: str,
+    daemon: DaemonOptions,
+    wanted: dict[str, str],
+) -> None:
+    """It may go to another folder; another daemon may have a drive of the same name."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv(variable, "a" if variable.endswith("SOCKET") else "http://a:1")
+    found = variables_of(daemon, "7-secret")
+    whole = {
+        f"LECOMBUS_{key}": text if key == "URL" else str(tmp_path / text)
+        for key, text in wanted.items()
+    }
+    whole["LECOMBUS_LEASE"] = "7-secret"
+    assert {key: text for key, text in found.items() if key.startswith("LECOMBUS_")} == whole
+    assert found["PATH"] == os.environ["PATH"]
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(
+    "ignores", [[], [int(signal.SIGTERM)], [int(signal.SIGTERM), int(signal.SIGHUP)]]
+)
+def test_a_command_ends_with_its_lease_also_one_that_ignores_signals(
+    short_dir: Path, monkeypatch: pytest.MonkeyPatch, ignores: list[int]
+) -> None:
+    """An interactive shell ignores SIGTERM."""
+    monkeypatch.setattr(leases, "END_WITHIN_S", 0.3)
+    lease, up = "PUT /v1/leases/service", short_dir / "up"
+    script = (
+        f"import os, signal, time; [signal.signal(one, signal.SIG_IGN) for one in {ignores}]; "
+        f"open({str(up)!r}, 'w').write(str(os.getpid())); time.sleep(60)"
+    )
+    with serve_stub(short_dir / "s") as stub:
+        stub.answers["GET /v1/groups"] = (200, '{"groups": []}')
+        stub.answers[lease] = (200, json.dumps(GRANTED))
+
+        def lose() -> None:
+            until_s = time.monotonic() + 20
+            while not up.exists() and time.monotonic() < until_s:
+                time.sleep(0.02)
+            lost = {"type": "urn:lecombus:problem:lease-lost", "detail": "it was taken over"}
+            stub.answers[lease] = (409, json.dumps(lost))
+
+        thread = threading.Thread(target=lose)
+        thread.start()
+        daemon = DaemonOptions(str(short_dir / "s"), None, as_json=False)
+        with pytest.raises(CommandError, match="it was taken over"):
+            anyio.run(
+                hold, daemon, ("service", ["feeder"], 1.0, ""), [sys.executable, "-c", script]
+            )
+        thread.join()
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(up.read_text()), 0)
