@@ -8,6 +8,8 @@ import anyio
 import pytest
 
 from lecombus.drive_state.readings import DriveState, Quality
+from lecombus.drives import StopAction
+from lecombus.fieldbus.requests import StepKind
 from lecombus.parameters import Code
 from lecombus.schedule import Priority
 from support.rosters import roster_text
@@ -177,3 +179,40 @@ def test_no_counter_falls_at_a_reload() -> None:
         assert not fell()
 
     with_plant(test, BEFORE)
+
+
+def with_group(name: str) -> str:
+    """Return the usual roster with two drives in one more decade, which are a group."""
+    drives = [*DRIVES, ("y", 21, "8200vector"), ("z", 22, "8200vector")]
+    group = f"groups:\n  {name}: {{members: [y, z], multicast: true}}"
+    return roster_text(drives, drive=f"cyclic: [{EVERY_2_S}]", sections=group)
+
+
+def test_a_group_may_leave_the_roster_while_its_multicast_is_on_the_wire() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online("y", "z")
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(plant.site.operations.stop, StopAction.QUICK_STOP, "pair")
+            await until(lambda: any(b"\x0420" in one.data for one in plant.end.sent))
+            plant.apply(with_group("others"))
+        kinds = [one.step.kind for one in plant.reports]
+        assert StepKind.MULTICAST in kinds
+        first = len(plant.reports)
+        await anyio.sleep(5.0)
+        assert {one.drive for one in plant.reports[first:]} >= {"y", "z"}
+
+    with_plant(test, with_group("pair"))
+
+
+def test_a_drive_may_get_the_name_of_a_group_that_leaves_the_roster() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online("y")
+        plant.apply(with_group("others").replace("name: y", "name: pair").replace("[y,", "[pair,"))
+        await plant.online("pair")
+        page = (await plant.site.metrics.fresh_page(openmetrics=False)).decode()
+        of_drive = 'lecombus_telegrams_total{line="test",drive="pair",kind='
+        counts = {line[len(of_drive) :] for line in page.splitlines() if line.startswith(of_drive)}
+        assert any(line.startswith('"read",outcome="answered"') for line in counts)
+        assert not any(line.startswith('"multicast"') for line in counts)
+
+    with_plant(test, with_group("pair"))

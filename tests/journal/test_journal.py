@@ -280,6 +280,88 @@ def test_a_full_disk_takes_what_is_vital_and_the_rest_later(
     with_journal(tmp_path / "j", scenario)
 
 
+def test_on_a_full_disk_no_stop_waits_behind_what_is_not_vital(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full = threading.Event()
+    usual = JournalFile._try_to_grow
+
+    def grow(file: JournalFile, db: Any) -> None:
+        usual(file, db)
+        if full.is_set():
+            file._room_trouble = "there is no room"
+
+    monkeypatch.setattr(JournalFile, "_try_to_grow", grow)
+    others = 2 * module.BATCH_ROWS
+
+    async def scenario(journal: Journal) -> None:
+        full.set()
+        journal._file._has_reserve = False
+        journal._thread.submit(journal._file.tidy, journal._tidied)
+        await until(lambda: "no room" in journal.trouble)
+        for number in range(others):
+            journal.record("trip", "a", {"number": str(number)})
+        stop = journal.intend("stop", "a", {}, is_vital=True)
+        journal.conclude(stop, "verified", {})
+        await until(lambda: journal.head.number == 2)
+        full.clear()
+        await until(lambda: journal.head.number == 4 + others)
+        rows, _ = await journal.rows_after(after=0, since_ms=0, drives=[], most=others + 4)
+        assert [row.outcome for row in rows[:2]] == ["asked", "verified"]
+        trips = [row.whole()["number"] for row in rows if row.kind == "trip"]
+        assert trips == [str(number) for number in range(others)]
+        assert (await journal.verify()).problem == ""
+
+    with_journal(tmp_path / "j", scenario)
+
+
+def test_the_end_is_written_on_a_full_disk_behind_what_waits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "j"
+
+    async def scenario(journal: Journal) -> None:
+        journal.record("start")
+        await until(lambda: journal.head.number == 1)
+        for number in range(2 * module.BATCH_ROWS):
+            journal.record("trip", "a", {"number": str(number)})
+        journal._file._room_trouble = "there is no room"
+        journal._fail("there is no room")
+        monkeypatch.setattr(JournalFile, "_try_to_grow", lambda file, db: None)
+        journal.record("end", is_vital=True)
+
+    with_journal(path, scenario)
+    monkeypatch.undo()
+
+    async def look(journal: Journal) -> None:
+        assert (await kinds(journal))[:2] == ["start", "end"]
+
+    with_journal(path, look)
+
+
+def test_what_is_kept_is_not_waited_for_while_the_file_is_being_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "HANGS_AFTER_S", 0.1)
+    works, usual = threading.Event(), JournalFile._take_up
+
+    def take_up(file: JournalFile, *given: Any, **named: Any) -> None:
+        works.wait(30)
+        usual(file, *given, **named)
+
+    monkeypatch.setattr(JournalFile, "_take_up", take_up)
+
+    async def scenario(journal: Journal) -> None:
+        for question in (journal.fact("roster"), journal.keys()):
+            with pytest.raises(JournalFileError, match="could not be opened within"):
+                await question
+        works.set()
+        await until(lambda: not journal.trouble)
+        assert await journal.fact("roster") is None
+
+    with_journal(tmp_path / "j", scenario)
+
+
 def test_verifying_looks_for_a_head_that_was_logged(tmp_path: Path) -> None:
     async def scenario(journal: Journal) -> None:
         for number in range(450):

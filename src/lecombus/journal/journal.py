@@ -274,18 +274,17 @@ class Journal:
         Raises:
             JournalFileError: They cannot be read now.
         """
-        if not self._file.is_open:  # the thread may hang in that
-            raise JournalFileError(self.trouble)
-        try:
-            return await self._ask(
-                lambda db: [KeyRow(*row) for row in reading.select(db, "SELECT * FROM keys")]
-            )
-        except TimeoutError:
-            raise JournalFileError(f"{self._path} does not answer") from None
+        return await self._ask_if_open(
+            lambda db: [KeyRow(*row) for row in reading.select(db, "SELECT * FROM keys")]
+        )
 
     async def fact(self, name: str) -> str | None:
-        """Return the text kept under a name."""
-        return await self._ask(lambda db: reading.fact(db, name))
+        """Return the text kept under a name.
+
+        Raises:
+            JournalFileError: It cannot be read now.
+        """
+        return await self._ask_if_open(lambda db: reading.fact(db, name))
 
     async def verify(self, told: Head | None = None) -> Verification:
         """Follow the whole chain, a little at a time.
@@ -413,7 +412,7 @@ class Journal:
             self._timer = None
         if self._in_flight_since_s is not None or not (self._pending or self._others):
             return
-        rows = [self._pending.popleft() for _ in range(min(BATCH_ROWS, len(self._pending)))]
+        rows = self._next_rows()
         others, self._others = list(self._others), deque()  # a key before the intent of its request
         self._in_flight_since_s = self._clock()
         self._idle.clear()
@@ -421,6 +420,20 @@ class Journal:
             partial(self._file.write, rows, others, self._now_ms()),
             partial(self._written, rows, others),
         )
+
+    def _next_rows(self) -> list[Row]:
+        """Take from the list what is written next, in its order.
+
+        A full disk takes vital rows alone, and the others stay in the list: so while the journal
+        fails, the vital rows behind them are taken too.
+        """
+        rows = [self._pending.popleft() for _ in range(min(BATCH_ROWS, len(self._pending)))]
+        if self.trouble and len(self._pending):
+            vital = [row for row in self._pending if row.is_vital][:BATCH_ROWS]
+            taken = set(vital)
+            self._pending = deque(row for row in self._pending if row not in taken)
+            rows += vital
+        return rows
 
     def _written(
         self,
@@ -496,6 +509,19 @@ class Journal:
     async def _ask(self, question: Callable[[apsw.Connection], T]) -> T:
         async with asyncio.timeout(HANGS_AFTER_S * 5):
             return await self._thread.ask(partial(self._file.ask, question))
+
+    async def _ask_if_open(self, question: Callable[[apsw.Connection], T]) -> T:
+        """Read from the file, where the thread does not hang in opening it.
+
+        Raises:
+            JournalFileError: It cannot be read now.
+        """
+        if not self._file.is_open:
+            raise JournalFileError(self.trouble)
+        try:
+            return await self._ask(question)
+        except TimeoutError:
+            raise JournalFileError(f"{self._path} does not answer") from None
 
     def _verified(self, behind: Head, db: apsw.Connection) -> Verified:
         """Verify some rows; runs in the thread, where no row is added."""

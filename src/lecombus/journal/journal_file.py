@@ -107,6 +107,7 @@ class JournalFile:
         self._path = path
         self._most_pages = max(most_bytes, LEAST_BYTES) // PAGE_BYTES - 2 * RESERVE_PAGES
         self._db: apsw.Connection | None = None
+        self._is_open = False
         self._descriptor = -1
         self._inode = (0, 0)
         self._names: tuple[Path, ...] = ()
@@ -129,8 +130,8 @@ class JournalFile:
 
     @property
     def is_open(self) -> bool:
-        """Whether it is open; it may be full or broken all the same."""
-        return self._db is not None
+        """Whether it was opened to the end; it may be full or broken all the same."""
+        return self._is_open
 
     # ---- opening -----------------------------------------------------------------------------
 
@@ -154,10 +155,11 @@ class JournalFile:
             self.close()
             self.head, self._files = known, files
             raise
+        self._is_open = True
 
     def close(self) -> None:
         """Close it; it may be opened again."""
-        db, self._db = self._db, None
+        db, self._db, self._is_open = self._db, None, False
         if db is not None:
             with contextlib.suppress(apsw.Error):
                 db.close()

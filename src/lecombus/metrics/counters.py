@@ -134,6 +134,7 @@ TELEGRAM_OUTCOMES: Final = (
 )
 """How an exchange with one drive can end on the wire."""
 
+MULTICAST: Final = "multicast"
 MULTICAST_OUTCOMES: Final = ("sent", "echo", "line_lost")
 
 
@@ -157,7 +158,9 @@ class Counters:
             "counter",
             "Telegrams sent, by drive (a multicast: by group), kind and how the exchange ended.",
         )
+        # A name may go from a group to a drive in one reload: each has its own place.
         self._drives: dict[str, dict[tuple[str, str], Counter]] = {}
+        self._groups: dict[str, dict[tuple[str, str], Counter]] = {}
         self._took = {
             kind: self._histogram(
                 "exchange_seconds",
@@ -165,7 +168,7 @@ class Counters:
                 ("kind", kind),
                 EXCHANGE_BUCKETS_S,
             )
-            for kind in (*TELEGRAM_KINDS, "multicast")
+            for kind in (*TELEGRAM_KINDS, MULTICAST)
         }
         self._waited = {
             priority: self._histogram(
@@ -228,14 +231,16 @@ class Counters:
 
         Args:
             drive: The drive's name; for a multicast the group's.
-            kind: One of `TELEGRAM_KINDS`, or `multicast`.
+            kind: One of `TELEGRAM_KINDS`, or `MULTICAST`.
             outcome: One of `TELEGRAM_OUTCOMES`; `sent` for a multicast.
             took_s: From the first byte to the end of the answer or to giving up, seconds.
             busy_s: The same with the quarantine after it, seconds.
             priority: The class of its request.
             waited_s: How long the request had waited, seconds.
         """
-        self._drives[drive][kind, outcome].inc()
+        counters = (self._groups if kind == MULTICAST else self._drives).get(drive)
+        if counters is not None:  # it may have left the roster while this was under way
+            counters[kind, outcome].inc()
         self._took[kind].observe(took_s)
         self._waited[priority].observe(waited_s)
         self._busy.inc(busy_s)
@@ -255,20 +260,20 @@ class Counters:
 
     def add_drive(self, name: str) -> None:
         """Make the counters of a drive; one that is known keeps counting."""
-        self._add(name, TELEGRAM_KINDS, TELEGRAM_OUTCOMES)
+        self._add(self._drives, name, TELEGRAM_KINDS, TELEGRAM_OUTCOMES)
 
     def add_group(self, name: str) -> None:
         """Make the counters of a group that is spoken to by multicast."""
-        self._add(name, ("multicast",), MULTICAST_OUTCOMES)
+        self._add(self._groups, name, (MULTICAST,), MULTICAST_OUTCOMES)
 
     def remove(self, name: str) -> None:
-        """Drop the counters of a drive or group that left the roster."""
-        self._drives.pop(name, None)
-        self._telegrams.parts.pop(name, None)
+        """Drop the counters of a group that left the roster, or of a drive.
 
-    def names(self) -> tuple[str, ...]:
-        """Return the drives and groups counted."""
-        return tuple(self._drives)
+        A drive that has got the name of the group already keeps its own.
+        """
+        found = self._groups if name in self._groups else self._drives
+        found.pop(name, None)
+        self._show(name)
 
     # -- for the page ---------------------------------------------------------------------------
 
@@ -278,14 +283,29 @@ class Counters:
 
     # -- inside ---------------------------------------------------------------------------------
 
-    def _add(self, name: str, kinds: tuple[str, ...], outcomes: tuple[str, ...]) -> None:
-        counters = self._drives.setdefault(name, {})
+    def _add(
+        self,
+        found: dict[str, dict[tuple[str, str], Counter]],
+        name: str,
+        kinds: tuple[str, ...],
+        outcomes: tuple[str, ...],
+    ) -> None:
+        counters = found.setdefault(name, {})
         for kind in kinds:
             for outcome in outcomes:
                 if (kind, outcome) not in counters:
                     labels = {"line": self.line, "drive": name, "kind": kind, "outcome": outcome}
                     counters[kind, outcome] = Counter(labels)
-        self._telegrams.parts[name] = list(counters.values())
+        self._show(name)
+
+    def _show(self, name: str) -> None:
+        """Show the counters that there are of a name, as one part of the page."""
+        both = (self._drives.get(name, {}), self._groups.get(name, {}))
+        part: list[Instrument] = [one for counters in both for one in counters.values()]
+        if part:
+            self._telegrams.parts[name] = part
+        else:
+            self._telegrams.parts.pop(name, None)
 
     def _family(self, name: str, kind: str, text: str) -> MetricFamily:
         return self._families.setdefault(name, MetricFamily(f"lecombus_{name}", kind, text))
