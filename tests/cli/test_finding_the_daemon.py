@@ -48,6 +48,14 @@ def test_the_only_socket_of_the_machine_is_taken(run: Run, runtime_dir: Path) ->
         assert run("status").status == 0
 
 
+@pytest.mark.parametrize("option", ["--socket", "--url"])
+def test_an_empty_option_means_no_other_daemon(run: Run, runtime_dir: Path, option: str) -> None:
+    with serve_stub(runtime_dir / "hall-3.sock") as stub:
+        ran = run("stop", option, "")
+        assert (ran.status, stub.asked) == (2, [])
+    assert f"'{option}': it is empty" in ran.err
+
+
 def test_two_daemons_are_named_and_none_is_chosen(run: Run, runtime_dir: Path) -> None:
     put_socket(runtime_dir / "a.sock")
     put_socket(runtime_dir / "b.sock")

@@ -246,6 +246,16 @@ def test_names_of_lines_are_read_one_a_line(tmp_path: Path) -> None:
     assert names_in(file) == {"hall-1", "hall-2"}
 
 
+def test_a_file_of_names_that_is_no_text_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "lines"
+    file.write_bytes(b"hall-1\n\xff\n")
+    words = ["fleet", "--once", "--broker", "mqtt://127.0.0.1:1", "--expect", str(file)]
+    assert main(words) == Exit.USAGE
+    assert f"{file} is no text in UTF-8" in capsys.readouterr().err
+
+
 # ---- how stops are shown ------------------------------------------------------------------------
 
 ANSWER = (

@@ -71,6 +71,19 @@ def test_each_operation_is_one_line_by_its_end_or_as_asked(
     golden(ran.out)
 
 
+@pytest.mark.parametrize(
+    ("zone", "time_there"),
+    [("America/New_York", "2026-11-22 22:07:01.250"), ("UTC", "2026-11-23 03:07:01.250")],
+)
+def test_the_time_is_the_local_one_without_its_zone(
+    run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch, zone: str, time_there: str
+) -> None:
+    monkeypatch.setenv("TZ", zone)
+    time.tzset()
+    daemon.answers[LAST] = page(ROWS[:1])
+    assert run("journal").out.partition("\t")[0] == time_there
+
+
 def test_json_is_every_row_as_it_came(run: Run, daemon: DaemonStub) -> None:
     daemon.answers["GET /v1/journal?last=true&limit=2&drive=feeder"] = page(ROWS)
     ran = run("journal", "--json", "--last", "2", "--drive", "feeder")
@@ -181,3 +194,28 @@ def test_verify_says_whether_it_is_whole(run: Run, daemon: DaemonStub) -> None:
     assert ran.status == 1
     assert ran.out.startswith("not whole: row 6 was changed\nright up to there: 5 rows, 1 to 5\n")
     assert json.loads(run("journal", "verify", "--json", "--head", HEAD).out) == found
+
+
+def test_verify_asks_the_daemon_that_is_named_before_it(
+    run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LECOMBUS_SOCKET", f"{daemon.path}-of-another-line")
+    found = {"whole": True, "rows": 5, "first": 1, "last": 5, "head": HEAD, "problem": None}
+    daemon.answers["GET /v1/journal/verify"] = (200, json.dumps(found))
+    ran = run("journal", "--socket", str(daemon.path), "--json", "verify")
+    assert (ran.status, json.loads(ran.out)) == (0, found)
+    ran = run("journal", "--socket", "/none", "verify", "--socket", str(daemon.path))
+    assert (ran.status, ran.out.splitlines()[0]) == (0, "whole: 5 rows, 1 to 5")
+    assert run("journal", "--url", "http://127.0.0.1:9", "verify").status == 3
+
+
+@pytest.mark.parametrize(
+    "words", [("--last", "5"), ("--since", "8h"), ("--csv",), ("--follow",), ("--drive", "a")],
+    ids=" ".join,
+)  # fmt: skip
+def test_verify_takes_no_choice_of_rows(
+    run: Run, daemon: DaemonStub, words: tuple[str, ...]
+) -> None:
+    ran = run("journal", *words, "verify")
+    assert (ran.status, daemon.asked) == (2, [])
+    assert "leave out what stands before it" in ran.err

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from decimal import Decimal, InvalidOperation
 from functools import wraps
 from pathlib import Path
@@ -82,6 +82,17 @@ class DaemonOptions:
     token_file: str | None = None
     ca: str | None = None
     certificate: str | None = None
+
+    def behind(self, above: DaemonOptions) -> DaemonOptions:
+        """Return these options, with those that stand before the subcommand where they are absent.
+
+        A daemon that is named here is asked with nothing that was meant for another one.
+        """
+        if self.socket is None and self.url is None:
+            daemon = replace(above, **{key: text for key, text in asdict(self).items() if text})
+        else:
+            daemon = self
+        return replace(daemon, as_json=self.as_json or above.as_json)
 
 
 class CommandWithNumbers(click.Command):
@@ -253,6 +264,10 @@ def daemon_options(function: Callable[..., int]) -> Callable[..., int]:
         certificate: str | None,
         **given: Any,
     ) -> int:
+        for option, text in (("--socket", socket), ("--url", url)):
+            if text == "":  # such as a variable that is not set: no other daemon is meant
+                raise click.BadParameter("it is empty; name the daemon, or leave it out",
+                                         param_hint=f"'{option}'")  # fmt: skip
         daemon = DaemonOptions(socket, url, as_json, token_file, ca, certificate)
         return function(daemon=daemon, **given)
 

@@ -16,7 +16,7 @@ import click
 
 from lecombus.cli.arguments import json_option
 from lecombus.cli.bridge_commands import extra
-from lecombus.cli.exits import Exit
+from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.fleet_broker import (
     CONNECT_WITHIN_S,
     BrokerOptions,
@@ -93,8 +93,17 @@ fleet_command.add_command(stop_command)
 
 
 def names_in(file: Path) -> frozenset[str]:
-    """Return the names of lines in a file, one a line; what follows a `#` is left out."""
-    rows = (row.partition("#")[0].strip() for row in file.read_text().splitlines())
+    """Return the names of lines in a file, one a line; what follows a `#` is left out.
+
+    Raises:
+        CommandError: It is no text.
+    """
+    try:
+        text = file.read_text(encoding="utf-8")
+    except UnicodeDecodeError as exc:
+        remedy = "name a file with a line's name in each line"
+        raise CommandError(Exit.USAGE, f"{file} is no text in UTF-8", remedy) from exc
+    rows = (row.partition("#")[0].strip() for row in text.splitlines())
     return frozenset(filter(None, rows))
 
 

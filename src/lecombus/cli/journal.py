@@ -82,6 +82,10 @@ def journal_command(
     In a pipe: time, what, drive, outcome and details, separated by tabs.
     """
     if context.invoked_subcommand is not None:
+        if since is not None or last is not None or drive or as_csv or follow:
+            problem = f"{context.invoked_subcommand} takes no rows of its own"
+            raise CommandError(Exit.USAGE, problem, "leave out what stands before it")
+        context.obj = daemon
         return Exit.DONE
     if since is not None and last is not None:
         raise CommandError(Exit.USAGE, "--since and --last are both given", "give one")
@@ -105,12 +109,14 @@ def journal_command(
 @journal_command.command("verify")
 @click.option("--head", default="", metavar="NUMBER:HASH", help="A head from the log.")
 @daemon_options
-def verify_command(daemon: DaemonOptions, head: str) -> int:
+@click.pass_obj
+def verify_command(above: DaemonOptions, daemon: DaemonOptions, head: str) -> int:
     """Say whether no row was changed, removed or inserted.
 
     With --head the journal must also hold a row that was logged as `journal-head`: only that shows
     whether rows were removed at the end. Exit status 1: something is wrong.
     """
+    daemon = daemon.behind(above)
     answer = ask(daemon, "/v1/journal/verify", **({"head": head} if head else {}))
     show(answer, _show_verified, as_json=daemon.as_json)
     return Exit.DONE if answer.data.get("whole") is True else Exit.FAILED
@@ -166,7 +172,7 @@ def _ends(rows: Iterable[Document]) -> Iterator[Document]:
 def _cells(row: Document) -> Sequence[str]:
     """Return the cells of a table's row."""
     local = datetime.fromisoformat(str(row["time"])).astimezone()
-    when = local.isoformat(" ", "milliseconds").partition("+")[0]
+    when = local.replace(tzinfo=None).isoformat(" ", "milliseconds")
     cells = (when, row["what"], row["drive"], row["outcome"], _details(row["fields"]))
     return [harmless(table_text(cell)) for cell in cells]
 
