@@ -332,11 +332,15 @@ class Daemon:
                 )
             if self._end.is_set():
                 raise LineClosedError("lecombus is ending; the roster is not read again")
-            self._notifier.tell("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
+            was_ready = self._ready
+            if was_ready:  # else READY would end the start of a line that is not open yet
+                now_us = time.monotonic_ns() // 1000
+                self._notifier.tell("RELOADING=1", f"MONOTONIC_USEC={now_us}")
             try:
                 return await self._apply_file(self.runtime, self._path)
             finally:
-                self._notifier.tell("READY=1")
+                if was_ready:
+                    self._notifier.tell("READY=1")
 
     async def _apply_file(self, runtime: LineRuntime, path: Path) -> RosterChanges:
         """Read a roster in a thread and apply it; log how that ended, and who asked for it."""

@@ -124,6 +124,23 @@ def test_a_line_that_cannot_be_opened_is_alive_but_not_ready() -> None:
         assert daemon.end() == 0
 
 
+def test_a_reload_does_not_make_a_line_ready_that_is_not() -> None:
+    """The adapter is not there yet: the service stays `activating`, whatever is reloaded."""
+    with short_dir() as folder:
+        manager = Manager(folder / "notify")
+        text = roster_text(DRIVES, port=folder / "missing", folder=folder, watchdog=WATCHDOG)
+        try:
+            with running(text, folder, env={"NOTIFY_SOCKET": str(manager.path)}) as daemon:
+                for _ in range(2):
+                    assert daemon.client.post("/v1/reload").status_code == 200
+                assert daemon.client.get("/readyz").status_code == 503
+                until(lambda: manager.told.count("WATCHDOG=1") > 2, "pings")
+                assert not {"READY=1", "RELOADING=1"} & set(manager.told)
+                assert daemon.end() == 0
+        finally:
+            manager.close()
+
+
 def test_sigterm_inhibits_the_drives_if_wanted_and_ends_with_status_0() -> None:
     with managed(sections="on_shutdown: inhibit") as (daemon, manager, end):
         daemon.until_online()
