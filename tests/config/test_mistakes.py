@@ -377,6 +377,25 @@ def test_a_line_needs_drives(drives: str) -> None:
     assert only(f"line: {{name: a, port: sim}}\ndrives: {drives}\n").startswith("2:")
 
 
+@pytest.mark.parametrize(
+    ("more", "wrong"),
+    [
+        ("journal: /a/b\nstate: /a//./b", "`state` is the file of `journal.file` too"),
+        ("journal: {file: /a/b}\napi: {socket: /a/b}", "`api.socket` is the file of `journal.file`"),
+        ("state: /a/b\napi: {tokens: /a/b}", "`api.tokens` is the file of `state` too"),
+        ("api: {socket: /a, tls: {certificate: /b, key: /a}}", "`api.tls.key` is the file of"),
+    ],
+)  # fmt: skip
+def test_what_lecombus_writes_is_a_file_of_its_own(more: str, wrong: str) -> None:
+    assert wrong in only(roster_with(more))
+
+
+def test_what_is_only_read_may_be_one_file() -> None:
+    roster = parsed(roster_with("api: {tls: {certificate: /a, key: /a}}\njournal: /j\nstate: /s"))
+    assert roster.api.tls is not None
+    assert roster.api.tls.key == "/a"
+
+
 def test_all_mistakes_come_at_once_in_the_order_of_the_file() -> None:
     text = """\
 lnie:

@@ -5,7 +5,7 @@ unusable value has been noted already, and the rules that need it are skipped.
 
 First the line, the drives compared with each other, groups, and the end; then the keys of one
 drive, above all the rules that follow from its family. Without a usable family only those apply
-that need none.
+that need none. The API, files and bridges have theirs in `interface_checks`.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from collections.abc import Collection, Iterable
 
 from lecombus.capacity.watchdog_feasibility import find_infeasible
 from lecombus.config.container_types import Fields, Item, Items
+from lecombus.config.interface_checks import check_interfaces
 from lecombus.config.mistakes import Mistakes, Position, did_you_mean, one_of, shown
 from lecombus.config.scalar_types import UNUSABLE
 from lecombus.config.yaml_nodes import Scalar
@@ -23,7 +24,7 @@ from lecombus.errors import CodeValueError
 from lecombus.fieldbus.protocols import Fieldbus, find
 from lecombus.parameters import Code
 from lecombus.parameters.codes import forms_of
-from lecombus.roster import Roster, is_loopback, is_network_port
+from lecombus.roster import Roster, is_network_port
 
 __all__ = [
     "check_drive",
@@ -68,10 +69,7 @@ def check_roster(roster: Fields, protocol: str, mistakes: Mistakes) -> None:
     _check_groups(roster, drives, mistakes)
     _check_shutdown(roster, drives, mistakes)
     _check_default_lapse(roster, drives, mistakes)
-    _check_access(roster, mistakes)
-    _check_modbus(roster, mistakes)
-    _check_notify(roster, mistakes)
-    _check_mqtt(roster, mistakes)
+    check_interfaces(roster, mistakes)
 
 
 def check_feasibility(entries: Fields, roster: Roster, mistakes: Mistakes) -> None:
@@ -234,91 +232,6 @@ def _check_default_lapse(roster: Fields, drives: list[Fields], mistakes: Mistake
         action = given.get("on_lapse", fallback) if given is not None else fallback
         if needs and action == "silence":
             check_silence(drive, drive.place("lease"), mistakes)
-
-
-def _check_access(roster: Fields, mistakes: Mistakes) -> None:
-    """Note an address that other machines reach, where not every request needs a token and TLS."""
-    api = roster.get("api")
-    http = api.get("http") if isinstance(api, Fields) else None
-    if not isinstance(api, Fields) or http is None or is_loopback(http[0]):
-        return
-    missing = [f"`{key}`" for key in ("tokens", "tls") if key not in api.nodes]
-    if missing:
-        what = f"`http` is not local: that needs {' and '.join(missing)} too"
-        right = f"give them, or write 127.0.0.1:{http[1]} and use a tunnel, such as ssh -L"
-        mistakes.note(api.place("http"), what, right)
-
-
-def _check_modbus(roster: Fields, mistakes: Mistakes) -> None:
-    """Note a Modbus address that other machines reach, without a list of those that may."""
-    modbus = roster.get("modbus")
-    if not isinstance(modbus, Fields) or is_loopback(modbus.get("host", "127.0.0.1")):
-        return
-    allow = modbus.get("allow")
-    if "allow" not in modbus.nodes or (isinstance(allow, Items) and not allow.items):
-        what = "`host` is not local: that needs `allow` too, because Modbus has no passwords"
-        right = "list the addresses of the controllers, such as `allow: [192.0.2.7]`"
-        mistakes.note(modbus.place("host"), what, right)
-
-
-def _check_notify(roster: Fields, mistakes: Mistakes) -> None:
-    """Note messages that go nowhere, a command that is not found, events named twice."""
-    notify = roster.get("notify")
-    if not isinstance(notify, Fields):
-        return
-    if "command" not in notify.nodes and "mail" not in notify.nodes:
-        mistakes.note(notify.node, "messages go nowhere", "give `command` or `mail`")
-    command, events = notify.get("command"), notify.get("events")
-    if isinstance(command, Items) and command.items:
-        first = command.items[0]
-        if command.complete and not first.value.startswith("/"):
-            what = f"the program {shown(first.value)} is no absolute path"
-            mistakes.note(first.node, what, f"write it from /, such as /usr/bin/{first.value}")
-    seen: set[str] = set()
-    for item in events if isinstance(events, Items) else ():
-        if item.value in seen:
-            what = f"the event `{item.value}` is there twice"
-            mistakes.note(item.node, what, "remove one of them")
-        seen.add(item.value)
-    mail = notify.get("mail")
-    if isinstance(mail, Fields):
-        _check_mail(mail, mistakes)
-
-
-def _check_mail(mail: Fields, mistakes: Mistakes) -> None:
-    """Note keys that belong to a mail server where none is named, and passwords others can read."""
-    if "host" not in mail.nodes:
-        for key in ("port", "security", "user", "password_file", "ca"):
-            if key in mail.nodes:
-                what = f"`{key}` needs `host`: sendmail of this computer has its own settings"
-                mistakes.note(mail.place(key), what, "name the mail server, or remove it")
-        return
-    for key, other in (("user", "password_file"), ("password_file", "user")):
-        if key in mail.nodes and other not in mail.nodes:
-            mistakes.note(mail.place(key), f"`{key}` needs `{other}`", "give both, or none")
-    if mail.get("security") == "none":
-        if "ca" in mail.nodes:
-            right = "remove it, or write `security: starttls`"
-            mistakes.note(mail.place("ca"), "`ca` is for TLS, which is off", right)
-        if "password_file" in mail.nodes and not is_loopback(mail.get("host", "")):
-            what = "without TLS everybody on the way can read the password"
-            mistakes.note(mail.place("security"), what, "`starttls` or `tls` would be right")
-
-
-def _check_mqtt(roster: Fields, mistakes: Mistakes) -> None:
-    """Note keys of the broker that do nothing without another one."""
-    mqtt = roster.get("mqtt")
-    if not isinstance(mqtt, Fields):
-        return
-    for key, other in (("certificate", "key"), ("key", "certificate"),
-                       ("password_file", "username")):  # fmt: skip
-        if key in mqtt.nodes and other not in mqtt.nodes:
-            mistakes.note(mqtt.place(key), f"`{key}` needs `{other}` too", f"give `{other}`")
-    if mqtt.get("tls", True) is False:
-        for key in ("ca", "certificate", "key"):
-            if key in mqtt.nodes:
-                what = f"`{key}` is for TLS, which `tls: false` switches off"
-                mistakes.note(mqtt.place(key), what, "remove one of them")
 
 
 WRITABLE = ("writable", "also_writable")
