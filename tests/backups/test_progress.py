@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
-from lecombus.backups import Progress, done_line, head_line, read_progress
+from lecombus.backups import Progress, done_line, head_line, read_progress, stops_line
 from lecombus.parameters import Code, Value
 
 HEAD = Progress("feeder.yaml", "0123456789abcdef", "2026-11-22T01:54:43Z", enabled=True)
@@ -44,3 +46,13 @@ def test_a_line_that_somebody_damaged_is_left_out(line: str) -> None:
     found = read_progress(TEXT + line + "\n")
     assert found is not None
     assert len(found.done) == 2
+
+
+def test_the_last_mark_of_the_stops_counts() -> None:
+    found = read_progress(head_line(replace(HEAD, stops="r-a-1")))
+    assert found is not None
+    assert found.stops == "r-a-1"
+    text = TEXT + stops_line("r-a-2") + done_line(Code(12), Value.parse("5"))
+    found = read_progress(text)
+    assert found is not None
+    assert (found.stops, len(found.done)) == ("r-a-2", 3)

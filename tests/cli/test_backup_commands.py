@@ -16,7 +16,14 @@ import pytest
 from backups.backups import answers, backup_of
 from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
-from lecombus.backups import Restored, make_plan, wanted_codes
+from lecombus.backups import (
+    Progress,
+    Restored,
+    WriteAttempt,
+    make_plan,
+    read_progress,
+    wanted_codes,
+)
 from lecombus.cli.backup import Notes
 from lecombus.cli.drive_access import HttpDrive
 from lecombus.cli.restore import result_json, show_plan, show_result
@@ -56,9 +63,10 @@ class Drive:
         document = {"address": 11, "family": self.kind.name, "state": state, "reason": None}
         self.stub.answers[f"GET {self.path}"] = (200, json.dumps(document))
 
-    def rights(self, reason: str | None = None) -> None:
+    def rights(self, reason: str | None = None, stops: str = "") -> None:
         document = {
             "permitted": reason is None, "owned": [], "reason": reason, "remedy": "do something",
+            "stops": stops,
         }  # fmt: skip
         self.stub.answers[f"GET {self.path}/restore"] = (200, json.dumps(document))
 
@@ -524,6 +532,82 @@ def test_a_ctrl_c_before_anything_is_written_says_so(
     finally:
         signal.signal(signal.SIGINT, before)
     assert (ran.status, ran.err.strip()) == (130, "interrupted: nothing was written")
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_what_was_stopped_since_is_not_enabled_by_going_on(
+    run: Run, drive: Drive, tmp_path: Path, stopped: bool
+) -> None:
+    (tmp_path / "expected").touch()  # the stub reads as before: the restore is not complete
+    path = to_restore(run, drive, tmp_path)
+    drive.rights(stops="r-feeder-1")
+    drive.code("C0150", "H0000")
+    drive.stub.answers["POST /v1/stop"] = (200, json.dumps({"outcome": "verified"}))
+    words = ("restore", str(path), "feeder", "--yes", "--enable")
+    ran = run(*words)  # it stays enabled, whatever is said
+    assert (ran.status, "its inhibit was lifted from elsewhere" in ran.err) == (1, True)
+    drive.code("C0150", "H0080")
+    if stopped:
+        drive.rights(stops="r-feeder-2")
+    drive.takes("C0011")
+    ran = run(*words)
+    (notes,) = (tmp_path / "state" / "lecombus").iterdir()
+    head = json.loads(notes.read_text().splitlines()[0])
+    assert (ran.status, head["enabled"]) == (1, not stopped)
+    if stopped:
+        assert "it was stopped since, or lecombus was started again: it stays inhibited" in ran.err
+    else:
+        assert "the inhibit is lifted at the end: the motor may turn" in ran.err
+
+
+def test_our_own_inhibit_is_no_stop_since(run: Run, drive: Drive, tmp_path: Path) -> None:
+    (tmp_path / "expected").touch()
+    path = to_restore(run, drive, tmp_path)
+    drive.takes("C0011")
+    drive.rights(stops="r-feeder-1")
+    plain = HttpDrive.write
+
+    async def write(to: HttpDrive, code: Code, value: Value, *, verify: bool) -> WriteAttempt:
+        to.stops = "r-feeder-2"  # as our own inhibit sets it
+        return await plain(to, code, value, verify=verify)
+
+    with pytest.MonkeyPatch.context() as changed:
+        changed.setattr(HttpDrive, "write", write)
+        assert run("restore", str(path), "feeder", "--yes").status == 1
+    (notes,) = (tmp_path / "state" / "lecombus").iterdir()
+    found = read_progress(notes.read_text())
+    assert found is not None
+    assert (found.stops, list(found.done)) == ("r-feeder-2", [Code(11)])
+
+
+def test_a_stop_while_the_user_is_asked_ends_the_restore(
+    run: Run, drive: Drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "expected").touch()
+    path = to_restore(run, drive, tmp_path)
+    drive.rights(stops="r-feeder-1")
+
+    def make_sure(question: str, *, as_json: bool) -> None:
+        drive.rights(stops="r-feeder-2")
+
+    monkeypatch.setattr("lecombus.cli.restore.make_sure", make_sure)
+    run("restore", str(path), "feeder")
+    bodies = [json.loads(body) for asked, body in drive.stub.asked if asked.startswith("PUT")]
+    assert {body["stops"] for body in bodies} == {"r-feeder-1"}
+
+
+def test_what_a_restore_of_another_file_left_unsaved_is_saved(
+    run: Run, daemon: DaemonStub, tmp_path: Path
+) -> None:
+    drive = Drive(daemon, "93xx")
+    drive.code("C0012", "6")
+    path = backed_up(run, tmp_path / "f.yaml")
+    drive.takes("C0003", "done")
+    with Notes.opened("hall-3", "feeder") as notes:
+        notes.begin(Progress("other.yaml", "0123", "2026-11-23T12:00:00Z", enabled=False))
+        notes.done(Code(12), Value.parse("6"))
+    ran = run("restore", str(path), "feeder", "--yes")
+    assert (ran.status, writes(drive)) == (0, [f"PUT {DRIVE}/codes/C0003"]), ran.err
 
 
 def test_another_files_unfinished_restore_is_told(run: Run, drive: Drive, tmp_path: Path) -> None:

@@ -381,7 +381,7 @@ def test_a_line_needs_drives(drives: str) -> None:
     ("more", "wrong"),
     [
         ("journal: /a/b\nstate: /a//./b", "`state` is the file of `journal.file` too"),
-        ("journal: {file: /a/b}\napi: {socket: /a/b}", "`api.socket` is the file of `journal.file`"),
+        ("journal: {file: /a/b}\napi: {socket: /a/b}", "`api.socket` is the file of"),
         ("state: /a/b\napi: {tokens: /a/b}", "`api.tokens` is the file of `state` too"),
         ("api: {socket: /a, tls: {certificate: /b, key: /a}}", "`api.tls.key` is the file of"),
     ],

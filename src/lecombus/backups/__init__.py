@@ -32,6 +32,7 @@ from .restoring import (
     is_inhibited,
     read_progress,
     restore,
+    stops_line,
 )
 from .taking import Listener, NotUsable, RestoreAccess, Taken, take
 
@@ -63,6 +64,7 @@ __all__ = [
     "read_progress",
     "restore",
     "section_of",
+    "stops_line",
     "take",
     "wanted_codes",
     "write_backup",

@@ -14,11 +14,13 @@
 A stop of the drive ends a restore at any place. It never enables a drive.
 
 How far it came is written as lines of a file (`Progress`). The first line says what is restored
-into which drive, every further line names a code that was written and read back. Lines are only
-added, so that a restore that is killed in the middle leaves whole lines and at most one torn one,
-which is ignored. What stands there is never taken for the drive's word: a restore that goes on
-reads everything again. It is needed for what the drive does not report: that values were written
-and not saved yet, and that it was enabled before. Where the file is, the command line knows.
+into which drive, every further line names a code that was written and read back, or the mark of the
+drive's stops after our own: after a stop by another one the drive does not count as enabled before.
+Lines are only added, so that a restore that is killed in the middle leaves whole lines and at most
+one torn one, which is ignored. What stands there is never taken for the drive's word: a restore
+that goes on reads everything again. It is needed for what the drive does not report: that values
+were written and not saved yet, and that it was enabled before. Where the file is, the command line
+knows.
 """
 
 from __future__ import annotations
@@ -44,6 +46,7 @@ __all__ = [
     "is_inhibited",
     "read_progress",
     "restore",
+    "stops_line",
 ]
 
 TRIES: Final = 4
@@ -326,6 +329,7 @@ class Progress:
         begun: When it began, RFC 3339.
         enabled: The drive was enabled when it began.
         done: What was written and read back.
+        stops: Changes with every stop of the drive; as it was when this restore last wrote.
     """
 
     file: str
@@ -333,15 +337,21 @@ class Progress:
     begun: str
     enabled: bool
     done: Mapping[Code, str] = field(default_factory=dict)
+    stops: str = ""
 
 
 def head_line(progress: Progress) -> str:
     """Return the first line."""
     document = {
         "restore": progress.file, "digest": progress.digest, "begun": progress.begun,
-        "enabled": progress.enabled,
+        "enabled": progress.enabled, "stops": progress.stops,
     }  # fmt: skip
     return json.dumps(document) + "\n"
+
+
+def stops_line(stops: str) -> str:
+    """Return the line for a mark of the drive's stops that changed."""
+    return json.dumps({"stops": stops}) + "\n"
 
 
 def done_line(code: Code, value: Value) -> str:
@@ -356,7 +366,9 @@ def read_progress(text: str) -> Progress | None:
         return None
     head, *rest = documents
     done: dict[Code, str] = {}
+    stops = head.get("stops", "")
     for one in rest:
+        stops = one.get("stops", stops)
         try:
             done[Code.parse(str(one.get("code")))] = Value.parse(str(one.get("value"))).raw
         except CodeValueError:
@@ -367,6 +379,7 @@ def read_progress(text: str) -> Progress | None:
         str(head.get("begun")),
         head.get("enabled") is True,
         done,
+        str(stops),
     )
 
 

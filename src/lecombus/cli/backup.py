@@ -36,6 +36,7 @@ from lecombus.backups import (
     read_backup,
     read_progress,
     section_of,
+    stops_line,
     take,
     wanted_codes,
     write_backup,
@@ -193,6 +194,10 @@ class Notes:
     def done(self, code: Code, value: Value) -> None:
         """Note a code that was written and read back."""
         self._write(done_line(code, value))
+
+    def stops(self, mark: str) -> None:
+        """Note the mark of the drive's stops, which changed."""
+        self._write(stops_line(mark))
 
     def finish(self) -> None:
         """Forget it all: the restore is done."""

@@ -19,8 +19,8 @@ def reload_command(daemon: DaemonOptions) -> int:
     """Have the running daemon read its roster again, and show what changed.
 
     A wrong roster is refused whole, every mistake is listed with its place, and the old roster
-    stays in use; so does a remark on the line until a reload is good. `line`, `api` and `state`
-    cannot change while the daemon runs: they are listed as mistakes, and need a restart.
+    stays in use; so does a remark on the line until a reload is good. `line`, `api`, `journal` and
+    `state` cannot change while the daemon runs: they are listed as mistakes, and need a restart.
 
     In a pipe: one line for each thing that changed (the word `drive`, `group` or `key`, its name,
     `added`, `removed` or `changed`, the keys of a drive that differ). With --json: the daemon's

@@ -191,10 +191,14 @@ def carry_out(options: RestoreOptions, seen: Seen, notes: Notes) -> int:
     """Show the plan, ask, and do it."""
     before = left_by(notes, options)
     plan = seen.plan
-    unsaved = plan.save is not None and before is not None and bool(before.done)
+    # Also what a restore of another file wrote is in the drive, and lost without power.
+    unsaved = plan.save is not None and notes.left is not None and bool(notes.left.done)
+    enabled = seen.enabled is True or was_enabled(before, seen)
     if not options.daemon.as_json:
         show_plan(plan, options.drive, enabled=seen.enabled, enable=options.enable)
         show_earlier(before, notes, options)
+        if options.enable and before is not None and before.enabled and not seen.enabled:
+            show_enabling(options.drive, enabled=enabled)
     check(options, seen)
     if not plan.steps and not unsaved:
         notes.finish()
@@ -203,14 +207,13 @@ def carry_out(options: RestoreOptions, seen: Seen, notes: Notes) -> int:
     if not options.yes:
         with said_when_interrupted("nothing was written"):
             make_sure(f"Restore {options.drive}?", as_json=options.daemon.as_json)
-    enabled = seen.enabled is True or (before is not None and before.enabled)
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     begun = before or Progress(options.backup.name, options.digest, now, enabled)
-    notes.begin(replace(begun, enabled=enabled))
+    notes.begin(replace(begun, enabled=enabled, stops=seen.rights.stops))
     result = Restored()
     try:
         with progress(options.drive, quiet=options.daemon.as_json) as bar:
-            result, stops = anyio.run(work, options, plan, notes, unsaved, bar, result.written)
+            result, stops = anyio.run(work, options, seen, notes, unsaved, bar, result.written)
     except KeyboardInterrupt:
         result.stopped = "interrupted"
         give_result(plan, result, options, show_interrupted)
@@ -258,9 +261,28 @@ def show_earlier(before: Progress | None, notes: Notes, options: RestoreOptions)
         )
 
 
+def was_enabled(before: Progress | None, seen: Seen) -> bool:
+    """Whether a drive was enabled when an interrupted restore began, and was not stopped since.
+
+    What another one has stopped does not start again because the restore is.
+    """
+    if before is None or not before.enabled:
+        return False
+    return before.stops == seen.rights.stops != ""
+
+
+def show_enabling(drive: str, *, enabled: bool) -> None:
+    """Say what becomes of a drive that was enabled when the restore began, and is not now."""
+    if enabled:
+        said = "the inhibit is lifted at the end: the motor may turn"
+    else:
+        said = "it was stopped since, or lecombus was started again: it stays inhibited"
+    click.echo(f"{drive} was not inhibited when that began; {said}", err=True)
+
+
 async def work(
     options: RestoreOptions,
-    plan: RestorePlan,
+    seen: Seen,
     notes: Notes,
     unsaved: bool,
     listener: Listener,
@@ -271,17 +293,22 @@ async def work(
     Returns:
         The result, and the mark that refuses an enable after a later stop.
     """
-
-    def written(code: Code, value: Value) -> None:
-        notes.done(code, value)
-        kept[code] = value
+    noted = seen.rights.stops
 
     async with connected(options.daemon) as line:
-        drive = HttpDrive(line, options.drive)
-        with contextlib.suppress(CommandError):  # a daemon that is away is waited for
-            drive.stops = (await drive.restore_rights()).stops
+        # A stop since the plan was made, such as while the user was asked, ends this too.
+        drive = HttpDrive(line, options.drive, stops=noted)
+
+        def written(code: Code, value: Value) -> None:
+            nonlocal noted
+            if drive.stops != noted:  # by our own inhibit
+                notes.stops(drive.stops)
+                noted = drive.stops
+            notes.done(code, value)
+            kept[code] = value
+
         result = await restore(
-            drive, plan, patience_s=options.patience_s, listener=listener, written=written,
+            drive, seen.plan, patience_s=options.patience_s, listener=listener, written=written,
             unsaved=unsaved,
         )  # fmt: skip
         return result, drive.stops
