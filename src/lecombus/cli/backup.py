@@ -84,9 +84,8 @@ def read_text(path: Path) -> str:
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError as exc:
-        raise CommandError(
-            Exit.USAGE, f"{path} is no text in UTF-8", "name the file that backup wrote"
-        ) from exc
+        remedy = "name the file that backup wrote"
+        raise CommandError(Exit.USAGE, f"{path} is no text in UTF-8", remedy) from exc
 
 
 def load_backup(path: Path) -> Backup:
@@ -118,9 +117,8 @@ def check_target(path: Path) -> None:
     try:
         load_backup(path)
     except (ConfigError, CommandError) as exc:
-        raise CommandError(
-            Exit.USAGE, f"{path} is there and is no backup", "name another file, or remove it"
-        ) from exc
+        remedy = "name another file, or remove it"
+        raise CommandError(Exit.USAGE, f"{path} is there and is no backup", remedy) from exc
 
 
 def save(path: Path, text: str) -> None:
