@@ -266,10 +266,43 @@ def test_events_are_bounded_in_memory_and_on_the_disk(tmp_path: Path) -> None:
         queue.put("", f"{number:04d}")
         assert sum(file.stat().st_size for file in tmp_path.iterdir()) < 2500
     assert len(queue) == 50
-    assert queue.take_lost() == 950
     assert queue.first() == ("", "0950")
-    again = EventQueue(tmp_path, events_kept=50, bytes_kept=2000)
-    assert again.first() == ("", "0950")
+    for _ in range(2):  # a crash, then an end in good order
+        again = EventQueue(tmp_path, events_kept=50, bytes_kept=2000)
+        assert again.first() == ("", "0950")
+        assert again.lost == 950
+        again.save(at_end=True)
+    assert queue.take_lost() == 950
+
+
+@given(st.lists(st.sampled_from(["put", "put", "send", "save", "crash", "end"]), max_size=150))
+def test_no_event_is_lost_without_being_counted(
+    tmp_path_factory: pytest.TempPathFactory, steps: list[str]
+) -> None:
+    """Events that were only in memory at a crash are asked of the daemon again: not counted here."""
+    folder = tmp_path_factory.mktemp("events")
+    queue, put, sent, told = EventQueue(folder, events_kept=5, bytes_kept=200), 0, set[int](), 0
+    queue.put("", "0")
+    queue.save()
+    for step in steps:
+        if step == "put":
+            put += 1
+            queue.put("", f"{put}")
+            if not queue.is_on_disk:
+                queue.save()
+        elif step == "send" and (entry := queue.first()) is not None:
+            told += queue.take_lost()
+            sent.add(int(entry[1]))
+            queue.done(entry)
+        elif step in ("save", "end"):
+            queue.save(at_end=step == "end")
+        if step in ("crash", "end"):
+            queue = EventQueue(folder, events_kept=5, bytes_kept=200)
+    told += queue.take_lost()
+    sent.update(map(int, drained(queue)))
+    assert told >= put + 1 - len(sent)
+    if "crash" not in steps:
+        assert told == put + 1 - len(sent)
 
 
 @pytest.mark.parametrize("unit", sorted(BOTH_WAYS))

@@ -241,6 +241,7 @@ def test_codes_that_move_a_drive_away_are_writable_when_asked_for_in_words() -> 
         ("api: {hosts: a}", "11:14"),
         ("api: {hosts: ['a b']}", "11:15"),
         ("api: {hosts: ['a:1']}", "11:15"),
+        ("api: {hosts: [a..b]}", "11:15"),
         ("api: {socket_group: 'a b'}", "11:21"),
         ("api: {read_only: 1}", "11:18"),
         ("api: {http: 9740}", "11:13"),

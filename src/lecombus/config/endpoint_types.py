@@ -175,7 +175,9 @@ class Host(ScalarType):
         super().__init__("a host name or address", schema)
 
     def _convert(self, text: str) -> str:
-        if re.fullmatch(r"[A-Za-z0-9._:-]{1,253}", text, re.ASCII) is None:
+        labels = text.removesuffix(".").split(".")
+        is_name = re.fullmatch(r"[A-Za-z0-9._:-]{1,253}", text, re.ASCII) is not None
+        if not is_name or not all(0 < len(label) <= 63 for label in labels):
             raise WrongText("is no host", f"give {self.expects}")
         if re.fullmatch(r"[A-Za-z0-9._-]+:[0-9]+", text):
             raise WrongText("has a port in it", "give the port by the key `port`")

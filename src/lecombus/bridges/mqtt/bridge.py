@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Final
 
 import anyio
+import anyio.to_thread
 
 from lecombus.bridges.line_follower import LineFollower
 from lecombus.bridges.mqtt.board import Board
@@ -84,7 +85,8 @@ class MqttBridge:
         self._topics = Topics(self._entry.topics, roster.line.name)
         self._events = EventQueue(directory)
         self._place = Place(None if directory is None else directory / "last-event")
-        self.follower = LineFollower(roster.api.socket, after=self._place.read())
+        self._heard_id = self._place.read()
+        self.follower = LineFollower(roster.api.socket, after=self._heard_id)
         self.follower.listeners.append(self._heard)
         self._pulse = Pulse()
         self._will_limits = WillLimits()
@@ -295,11 +297,13 @@ class MqttBridge:
         if event.kind not in SENT_EVENTS:
             return
         text = json_bytes({"id": event.id or None, "kind": event.kind, **event.data}).decode()
+        self._heard_id = event.id or self._heard_id
         try:
             self._events.put(event.drive, text)
+            if self._events.is_on_disk:
+                self._place.last_id = self._heard_id
         except OSError as exc:
             logger.error("event=mqtt-events-not-kept reason=%s", exc)
-        self._place.last_id = event.id or self._place.last_id
         self._event_came.set()
 
     async def _watch_misses(self) -> None:
@@ -320,6 +324,7 @@ class MqttBridge:
             while (entry := self._events.first()) is not None:
                 await self._send_event(broker, *entry)
                 self._events.done(entry)
+            self._place.last_id = self._heard_id
             await self._event_came.wait()
 
     async def _send_event(self, broker: Broker, drive: str, text: str) -> None:
@@ -331,6 +336,7 @@ class MqttBridge:
     def _keep_events(self, *, at_end: bool = False) -> None:
         try:
             self._events.save(at_end=at_end)
+            self._place.last_id = self._heard_id
         except OSError as exc:
             logger.error("event=mqtt-events-not-kept reason=%s", exc)
 
@@ -425,7 +431,7 @@ class Devices:
 
 
 class Place:
-    """Up to which event the daemon's events were had, kept in a file.
+    """Up to which event the daemon's events were sent or are on the disk, kept in a file.
 
     Args:
         file: The file; None: it is not kept.
@@ -458,7 +464,7 @@ class Place:
         """Keep it until cancelled; not more often than once a second."""
         while True:
             await anyio.sleep(1)
-            self.write()
+            await anyio.to_thread.run_sync(self.write)  # a disk that stalls delays no stop
 
 
 async def until_lost(

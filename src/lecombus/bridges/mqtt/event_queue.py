@@ -3,7 +3,8 @@
 What is in memory is written to the disk when the broker is lost and at the end, and from then on
 each event as it comes; the files are removed when all was sent. There are two files, each for half
 of what is kept: when the second is full, the first is removed and they change places. So the disk
-takes no more than `BYTES_KEPT`, and how many events were lost is counted.
+takes no more than `BYTES_KEPT`, and how many events were lost is counted. A file begins with the
+number of those that came before it and were not sent: without the other file they are lost.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ class EventQueue:
 
     Attributes:
         lost: How many were dropped because too many waited, since `take_lost`.
+        is_on_disk: Whether all that waits is on the disk.
     """
 
     def __init__(
@@ -48,13 +50,19 @@ class EventQueue:
         self._bytes = 0
         self._events_kept = events_kept
         self._bytes_kept = bytes_kept
-        self._on_disk = False
+        self.is_on_disk = False
         self.lost = 0
+        self._unsent = 0
+        """Of those that came since `save`: also those that are dropped by now."""
         for file in self._files:
             with suppress(FileNotFoundError):
-                for entry in read_entries(file):
-                    self._append(entry)
-                self._on_disk = True
+                for found in read_lines(file):
+                    if not isinstance(found, int):
+                        self._append(found)
+                        self._unsent += 1
+                    elif not self._waiting:
+                        self.lost = self._unsent = found
+                self.is_on_disk = True
 
     def __len__(self) -> int:
         """Return how many wait."""
@@ -68,9 +76,10 @@ class EventQueue:
         """
         entry = (drive, text)
         self._append(entry)
-        if self._on_disk and self._files:
+        before, self._unsent = self._unsent, self._unsent + 1
+        if self.is_on_disk and self._files:
             with self._files[1].open("a") as file:
-                file.write(line_of(entry))
+                file.write(line_of(entry) if file.tell() else f"{before}\n{line_of(entry)}")
                 size = file.tell()
             if size > self._bytes_kept // 2:
                 self._files[1].replace(self._files[0])
@@ -84,10 +93,11 @@ class EventQueue:
         if self._waiting and self._waiting[0] is entry:
             self._waiting.popleft()
             self._bytes -= len(entry[1])
-        if not self._waiting and self._on_disk:
+            self._unsent -= 1
+        if not self._waiting and self.is_on_disk:
             for file in self._files:
                 file.unlink(missing_ok=True)
-            self._on_disk = False
+            self.is_on_disk = False
 
     def save(self, *, at_end: bool = False) -> None:
         """Write what waits to the disk: the broker is away, or the bridge ends.
@@ -98,18 +108,21 @@ class EventQueue:
         Raises:
             OSError: It cannot be written; it waits in memory.
         """
-        if not self._files or not self._waiting or (self._on_disk and not at_end):
+        if not self._files or not self._waiting or (self.is_on_disk and not at_end):
             return
         beside = self._files[0].with_suffix(".new")
         with beside.open("w") as file:
+            file.write(f"{self.lost}\n")
             file.writelines(map(line_of, self._waiting))
         beside.replace(self._files[0])
         self._files[1].unlink(missing_ok=True)
-        self._on_disk = True
+        self.is_on_disk = True
+        self._unsent = self.lost + len(self._waiting)
 
     def take_lost(self) -> int:
         """Return how many were dropped, and begin to count again."""
         lost, self.lost = self.lost, 0
+        self._unsent -= lost
         return lost
 
     def _append(self, entry: Entry) -> None:
@@ -125,12 +138,14 @@ def line_of(entry: Entry) -> str:
     return f"{json.dumps(entry)}\n"
 
 
-def read_entries(file: Path) -> Iterator[Entry]:
-    """Return the events of a file; a line that was cut off by a crash is left out."""
+def read_lines(file: Path) -> Iterator[Entry | int]:
+    """Return the events and numbers of a file; a line that was cut off by a crash is left out."""
     for line in file.read_text(errors="replace").splitlines():
         with suppress(ValueError):
             found: Any = json.loads(line)
-            if isinstance(found, list) and len(found) == 2 and all(map(is_text, found)):
+            if type(found) is int:
+                yield found
+            elif isinstance(found, list) and len(found) == 2 and all(map(is_text, found)):
                 yield found[0], found[1]
 
 

@@ -1,0 +1,93 @@
+"""Which events an MQTT bridge asks of the daemon again after a crash."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import anyio
+import pytest
+
+from lecombus.bridges.mqtt.bridge import MqttBridge, Place
+from lecombus.bridges.mqtt.retained import Message
+from lecombus.client import Event
+from lecombus.roster import MqttEntry
+from support.virtual_loop import run
+
+
+def made(directory: Path) -> Any:
+    roster: Any = SimpleNamespace(
+        line=SimpleNamespace(name="hall-3"), api=SimpleNamespace(socket="/run/x.sock"),
+        mqtt=MqttEntry(host="127.0.0.1", port=1, tls=False), drives=(), groups={},
+    )  # fmt: skip
+    return MqttBridge(roster, directory)
+
+
+def hear(bridge: Any, identifier: str) -> None:
+    bridge._heard(Event(identifier, "trip", "feeder", {"active": True}))
+
+
+def test_events_count_as_had_when_they_were_sent_or_are_on_the_disk(tmp_path: Path) -> None:
+    place = tmp_path / "last-event"
+
+    class SlowBroker:
+        sent = 0
+
+        async def publish(self, message: Message) -> bool:
+            await anyio.sleep(5)
+            self.sent += 1
+            return True
+
+    async def script() -> None:
+        bridge, broker = made(tmp_path), SlowBroker()
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(bridge._send_events, broker)
+            await anyio.sleep(1)
+            hear(bridge, "R-1")
+            hear(bridge, "R-2")
+            await anyio.sleep(6)
+            bridge._place.write()
+            assert broker.sent == 1
+            assert not place.exists(), "a crash now would lose R-2"
+            await anyio.sleep(6)
+            bridge._place.write()
+            assert place.read_text() == "R-2\n"
+            hear(bridge, "R-3")
+            tasks.cancel_scope.cancel()
+        bridge._place.write()
+        assert place.read_text() == "R-2\n"
+        bridge._keep_events()  # the broker is lost
+        bridge._place.write()
+        assert place.read_text() == "R-3\n"
+        hear(bridge, "R-4")
+        bridge._place.write()
+        assert place.read_text() == "R-4\n"
+        assert len(made(tmp_path)._events) == 2
+
+    run(script())
+
+
+@pytest.mark.real
+def test_a_disk_that_stalls_does_not_hold_up_the_bridge(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    threads: list[threading.Thread] = []
+
+    def write(path: Path, text: str) -> int:
+        threads.append(threading.current_thread())
+        return len(text)
+
+    async def script() -> None:
+        place = Place(tmp_path / "last-event")
+        place.last_id = "R-1"
+        monkeypatch.setattr(Path, "write_text", write)
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(place.keep)
+            while not threads:  # noqa: ASYNC110
+                await anyio.sleep(0.05)
+            tasks.cancel_scope.cancel()
+
+    anyio.run(script)
+    assert threading.main_thread() not in threads
