@@ -279,7 +279,7 @@ def test_events_are_bounded_in_memory_and_on_the_disk(tmp_path: Path) -> None:
 def test_no_event_is_lost_without_being_counted(
     tmp_path_factory: pytest.TempPathFactory, steps: list[str]
 ) -> None:
-    """Events that were only in memory at a crash are asked of the daemon again: not counted here."""
+    """Events that were only in memory at a crash are asked of the daemon again, so not here."""
     folder = tmp_path_factory.mktemp("events")
     queue, put, sent, told = EventQueue(folder, events_kept=5, bytes_kept=200), 0, set[int](), 0
     queue.put("", "0")
