@@ -11,6 +11,7 @@ import ssl
 import subprocess
 from collections.abc import AsyncIterator
 from pathlib import Path
+from typing import Any
 
 import anyio
 import httpx2
@@ -21,10 +22,13 @@ from starlette.types import Scope
 
 from lecombus.api import serve, tcp_connection, tls_connection
 from lecombus.api.server import Doors
+from lecombus.api.tcp_connection import CpuShare
 from lecombus.api.tls import TlsFileError, context_of
 from lecombus.api.token_access import TokenAccess
 from lecombus.errors import OperationError
 from lecombus.operations.actions import ACTOR
+from lecombus.operations.awaited_requests import CAME_S
+from lecombus.operations.operation_reports import WriteReport
 from lecombus.tokens.secret import new_secret
 from support.api_line import Line
 from support.certificates import Certificates, client_context, make_certificates
@@ -145,6 +149,37 @@ async def test_a_token_that_is_revoked_while_a_body_comes_writes_nothing(
         assert head.startswith(b"HTTP/1.1 401"), head
         assert b"connection: close" in head.lower()
     assert line.ops.asked == []
+
+
+async def test_a_write_that_waits_for_the_share_of_tcp_came_when_its_bytes_came(
+    line: Line, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stop that comes before its turn ends it; the share keeps it back for up to a second."""
+    shares: list[CpuShare] = []
+    came: list[float] = []
+    write = line.ops.write
+
+    def made(**given: Any) -> CpuShare:
+        shares.append(CpuShare(**given))
+        return shares[-1]
+
+    async def noted(*given: Any, **more: Any) -> WriteReport:
+        came.append(CAME_S.get() or 0.0)
+        return await write(*given, **more)
+
+    monkeypatch.setattr("lecombus.api.server.CpuShare", made)
+    monkeypatch.setattr(line.ops, "write", noted)
+    async with guarded_door(line, tmp_path) as door:
+        await door.give("plc", "control")
+        async with door.client("plc") as client:
+            assert (await client.get("/v1/line")).status_code == 200
+            turns: list[float] = []
+            for _ in range(2):
+                shares[0].spend(0.1)
+                turns.append(shares[0]._free_at_s)
+                assert (await client.put(SETPOINT, json={"value": 1})).status_code == 200
+    assert all(came_s < turn_s for came_s, turn_s in zip(came, turns, strict=True))
+    assert came[1] >= turns[0], "each request has its own time"
 
 
 async def test_two_tokens_in_one_request_are_refused(line: Line, tmp_path: Path) -> None:

@@ -12,11 +12,14 @@ from pathlib import Path
 
 import anyio
 import pytest
+from starlette.responses import Response
+from starlette.routing import Route
 from starlette.types import Receive, Scope, Send
 
 from lecombus.api import limits, serve, tcp_connection
 from lecombus.api.tcp_connection import CpuShare
 from support.api_line import Line
+from support.virtual_loop import run
 
 pytestmark = [pytest.mark.anyio, pytest.mark.real]
 
@@ -73,6 +76,81 @@ async def test_a_client_that_still_sends_reads_why_it_was_refused(
             assert (await answer(reader))[0] == 403
             assert await reader.read() == b""
             writer.close()
+
+
+async def test_the_last_answer_of_a_connection_comes_whole_also_to_a_slow_client(
+    line: Line, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As over a slow network, where the kernel takes little at a time."""
+    size, made = 400_000, tcp_connection.TcpConnection.connection_made
+
+    def with_little_room(
+        connection: tcp_connection.TcpConnection, transport: asyncio.Transport
+    ) -> None:
+        transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 32768)
+        made(connection, transport)
+
+    async def big(request: object) -> Response:
+        return Response(b"x" * size)
+
+    monkeypatch.setattr(tcp_connection.TcpConnection, "connection_made", with_little_room)
+    monkeypatch.setattr(tcp_connection, "LINGER_S", 0.05)
+    line.app.router.routes.append(Route("/big", big))
+    async with serving(line, tmp_path) as place:
+        client = socket.socket()
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8192)
+        client.setblocking(False)
+        await asyncio.get_running_loop().sock_connect(client, place)
+        reader, writer = await asyncio.open_connection(sock=client, limit=4096)
+        writer.write(b"GET /big HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
+        await reader.readuntil(b"\r\n\r\n")
+        taken = 0
+        with contextlib.suppress(ConnectionError):
+            while data := await reader.read(4096):
+                taken += len(data)
+                await asyncio.sleep(0.002)
+        writer.close()
+    assert taken == size
+
+
+class Inner(asyncio.Transport):
+    """A transport whose buffer empties at a time; notes when it was cut."""
+
+    def __init__(self, empty_at_s: float) -> None:
+        super().__init__()
+        self.empty_at_s = empty_at_s
+        self.cut_at_s = 0.0
+
+    def get_write_buffer_size(self) -> int:
+        return int(asyncio.get_running_loop().time() < self.empty_at_s)
+
+    def is_closing(self) -> bool:
+        return False
+
+    def resume_reading(self) -> None:
+        pass
+
+    def write_eof(self) -> None:
+        pass
+
+    def abort(self) -> None:
+        self.cut_at_s = asyncio.get_running_loop().time()
+
+
+@pytest.mark.parametrize(("sends_s", "cut_s"), [(0, 1), (3.5, 5), (1000, 10)])
+def test_a_connection_that_ends_is_cut_some_time_after_all_was_sent(
+    sends_s: float, cut_s: float
+) -> None:
+    async def work() -> None:
+        began_s = asyncio.get_running_loop().time()
+        inner = Inner(began_s + sends_s)
+        transport = tcp_connection.LingeringTransport(inner)
+        transport.close()
+        assert transport.is_closing()
+        await asyncio.sleep(30)
+        assert inner.cut_at_s - began_s == pytest.approx(cut_s)
+
+    run(work())
 
 
 @pytest.mark.parametrize(

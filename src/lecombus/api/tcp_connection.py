@@ -65,7 +65,8 @@ PATIENCE_S: Final = 10.0
 """How long a client may keep the daemon waiting; it is cut after once to twice that."""
 
 LINGER_S: Final = 1.0
-"""How long a client that was answered for the last time may go on sending."""
+"""How long a client that was answered for the last time may go on sending; the time begins when the
+kernel has taken the answer, for which a slow client may take `PATIENCE_S`."""
 
 DROPPED_LIMIT: Final = 64 * 1024
 """Bytes that it may send in that time."""
@@ -134,10 +135,16 @@ class LingeringTransport(asyncio.Transport):
         if self._is_read or self.is_closing():
             self._inner.close()
             return
-        self._end = asyncio.get_running_loop().call_later(LINGER_S, self._inner.abort)
+        self._linger(PATIENCE_S - LINGER_S)
         self._inner.resume_reading()
         with contextlib.suppress(OSError):  # it was reset, which the loop will find out
             self._inner.write_eof()
+
+    def _linger(self, for_s: float) -> None:
+        """Look again in a while; close where all was sent by now, or after so many seconds."""
+        is_last = for_s <= 0.0 or not self._inner.get_write_buffer_size()
+        then = self._inner.abort if is_last else partial(self._linger, for_s - LINGER_S)
+        self._end = asyncio.get_running_loop().call_later(LINGER_S, then)
 
     def abort(self) -> None:
         """Close without sending what is left."""
@@ -170,6 +177,7 @@ class TcpConnection(HttpConnection, asyncio.BufferedProtocol):
         """Take the connection; called by the loop."""
         self._dropped = 0
         self._progress = self._progress_seen = 0
+        self._arrived_s: float | None = None  # when a request began to come that waits for no other
         super().connection_made(self._lingering(transport))
         self._looking = self.loop.call_later(PATIENCE_S, self._look)
 
@@ -207,6 +215,8 @@ class TcpConnection(HttpConnection, asyncio.BufferedProtocol):
             return
         self._unset_keepalive_if_required()
         if self._end is None:
+            if not self._unread and self._is_answered:
+                self._arrived_s = asyncio.get_running_loop().time()
             self._unread += data
             self.flow.is_held = True
             self.flow.pause_reading()
@@ -233,7 +243,10 @@ class TcpConnection(HttpConnection, asyncio.BufferedProtocol):
 
     def _start_asgi_task(self, cycle: Any, app: Any) -> None:
         self._begin(cycle)
-        came_s = asyncio.get_running_loop().time()
+        # Its turn may come a second later: a stop in between ends it. One that was sent behind
+        # another comes when that is answered, which may have been a stop.
+        came_s = asyncio.get_running_loop().time() if self._arrived_s is None else self._arrived_s
+        self._arrived_s = None
         is_gone = partial(is_closed, self.transport.get_extra_info("socket"), select.POLLRDHUP)
 
         def start() -> None:
