@@ -228,6 +228,40 @@ def test_an_end_whose_intent_is_not_there_has_its_fields(file: JournalFile) -> N
     ]
 
 
+@pytest.mark.parametrize("rows", [1, 5, 9])
+def test_another_journal_in_the_place_of_this_one_is_doubted(path: Path, rows: int) -> None:
+    other = opened(path.with_name("other.sqlite"))
+    other.write([row(50 + number) for number in range(rows)], (), 1)
+    intent = row(60, "write", outcome=ASKED)
+    file = opened(path)
+    file.write([*(row(number) for number in range(4)), intent], (), 1)
+    other.close()
+    path.with_name("other.sqlite").replace(path)
+    with pytest.raises(JournalFileError, match="removed or replaced"):
+        file.write([], (), 2)
+    file.write([], (), 2)
+    assert "it was replaced by another one while it was in use" in file.trouble
+    kept = [(f'{{"number":"{50 + number}"}}',) for number in range(rows)]
+    assert columns(file, "fields")[:rows] == kept  # nothing of the former file is written into it
+    assert columns(file, "kind")[rows:] == [("doubt",)]
+    file.close()
+
+
+def test_a_file_that_is_moved_away_while_it_is_in_use_has_all_its_rows(path: Path) -> None:
+    file = opened(path)
+    file.write([row(1)], (), 1)
+    file.tidy()
+    file.write([row(2)], (), 1)  # in the WAL, which keeps the name that the file had
+    moved = path.rename(path.with_name("moved.sqlite"))
+    with pytest.raises(JournalFileError, match="removed or replaced"):
+        file.write([], (), 1)
+    file.close()
+    archive = opened(moved)
+    assert columns(archive, "id, fields") == [(1, '{"number":"1"}'), (2, '{"number":"2"}')]
+    assert (problem(archive), archive.trouble) == ("", "")
+    archive.close()
+
+
 def test_an_intent_of_a_file_that_was_replaced_is_no_row_of_the_new_one(path: Path) -> None:
     file = opened(path)
     file.write([row(n) for n in range(5)], (), 1)

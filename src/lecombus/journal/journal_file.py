@@ -27,7 +27,7 @@ import apsw
 from lecombus.journal.chain import ASKED, FIRST_HASH, Head, Row, hash_of, json_of, one_line
 from lecombus.journal.kept import Fact, KeyRow, keep
 from lecombus.journal.migration import STEPS, bring_to_disk, migrate
-from lecombus.journal.reading import fact, head_in
+from lecombus.journal.reading import fact, hash_at, head_in, select
 
 __all__ = ["FileSpace", "JournalFile", "JournalFileError"]
 
@@ -144,7 +144,7 @@ class JournalFile:
             JournalFileError: It cannot be used.
         """
         if self._db is not None:
-            self._check_place()
+            self._check_place(self._db)
             return
         self._check_regular()
         known, files = self.head, self._files
@@ -226,13 +226,11 @@ class JournalFile:
         """Find the end of the chain, and end what has no end."""
         known, is_first = self.head, not self._files
         said, anchor = head_in(db, "head"), head_in(db, "anchor")
-        last: list[tuple[Any, ...]] = db.execute(
-            "SELECT id, hash FROM entries ORDER BY id DESC LIMIT 1"
-        ).fetchall()
+        last = select(db, "SELECT id, hash FROM entries ORDER BY id DESC LIMIT 1")
         found, why = Head(*last[0]) if last else anchor, ""
         if found != said:
             why = f"it ends at row {found.number}, and its end was row {said.number}"
-        elif found.number < known.number or (found.number == known.number and found != known):
+        elif not is_first and hash_at(db, known.number) != known.hash:
             why = f"it was replaced by another one while it was in use; its end was {known}"
         self.head = Head(max(found.number, said.number), found.hash)
         if is_first or is_new or why:
@@ -274,14 +272,17 @@ class JournalFile:
         if not stat.S_ISREG(mode):
             raise JournalFileError(f"{self._path} is no regular file")
 
-    def _check_place(self) -> None:
+    def _check_place(self, db: apsw.Connection) -> None:
         """See that the file has not been removed or replaced since it was opened."""
-        try:
+        there = (0, 0)
+        with contextlib.suppress(OSError):
             found = self._path.stat()
-            is_there = (found.st_dev, found.st_ino) == self._inode
-        except OSError:
-            is_there = False
-        if not is_there:
+            there = found.st_dev, found.st_ino
+        if there != self._inode:
+            # SQLite leaves the WAL of a moved file under the old name: rows would be missing in that
+            # file, and be written over another one that has the name now.
+            with contextlib.suppress(apsw.Error):
+                db.wal_checkpoint(mode=apsw.SQLITE_CHECKPOINT_TRUNCATE)
             self.close()
             raise JournalFileError(f"{self._path} was removed or replaced while it was in use")
 

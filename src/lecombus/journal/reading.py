@@ -22,6 +22,7 @@ __all__ = [
     "head_in",
     "last_rows",
     "rows_after",
+    "select",
     "verify_rows",
 ]
 
@@ -165,8 +166,9 @@ def verify_rows(db: apsw.Connection, *, behind: Head, end: Head, most: int) -> V
 
 
 def hash_at(db: apsw.Connection, number: int) -> bytes | None:
-    """Return the hash of a row; None: there is no such row."""
-    found = select(db, "SELECT hash FROM entries WHERE id = ?1", (number,))
+    """Return the hash of a row, or of the last that was deleted; None: there is no such row."""
+    sql = "SELECT hash FROM entries WHERE id = ?1 UNION ALL SELECT hash FROM anchor WHERE id = ?1"
+    found = select(db, sql, (number,))
     return found[0][0] if found else None
 
 
