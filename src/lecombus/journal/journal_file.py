@@ -279,8 +279,8 @@ class JournalFile:
             found = self._path.stat()
             there = found.st_dev, found.st_ino
         if there != self._inode:
-            # SQLite leaves the WAL of a moved file under the old name: rows would be missing in that
-            # file, and be written over another one that has the name now.
+            # SQLite leaves the WAL of a moved file under the old name: its rows would be missing
+            # there, and be written over another file that has the name now.
             with contextlib.suppress(apsw.Error):
                 db.wal_checkpoint(mode=apsw.SQLITE_CHECKPOINT_TRUNCATE)
             self.close()
