@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import random
 from collections import Counter
@@ -81,7 +82,9 @@ class Bench:
             "response_topic": "answers/x",
         }  # fmt: skip
         data = payload.encode() if isinstance(payload, str) else payload
-        self.commands.take(Incoming(f"{ROOT}/{topic}", data, **given | more))
+        incoming = Incoming(f"{ROOT}/{topic}", data, **given | more)
+        # As the library does: outside of any task.
+        asyncio.get_running_loop().call_soon(self.commands.take, incoming)
 
     @property
     def outcomes(self) -> list[str]:
@@ -306,6 +309,7 @@ def test_how_late_a_command_was_is_what_was_known_when_it_came() -> None:
         bench.pulse.proven_s = anyio.current_time() - 60  # it stood for a minute
         bench.take("feeder/do/enable")
         bench.take("feeder/do/enable", expiry_s=90)
+        await anyio.lowlevel.checkpoint()
         bench.pulse.proven_s = anyio.current_time() + 0.1
         await anyio.sleep(5)
         assert bench.outcomes == ["done", "expired", "done"]
@@ -330,6 +334,7 @@ def test_a_computer_that_slept_finds_old_commands(
         await anyio.sleep(0.5)
         if waits:
             bench.take("feeder/do/enable")
+            await anyio.lowlevel.checkpoint()
         slept[0] += slept_s
         if not waits:
             bench.take("feeder/do/enable")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -47,6 +48,19 @@ ROOT = "plant/lecombus/hall-3"
 def test_a_topic_says_what_a_command_asks_for(topic: str, found: CommandTopic | None) -> None:
     assert TOPICS.command(f"{ROOT}/{topic}") == found
     assert Topics("plant/lecombus", "hall-30").command(f"{ROOT}/{topic}") is None
+
+
+def test_lines_with_names_that_look_the_same_are_other_clients_and_have_other_devices() -> None:
+    """A broker ends the connection of a client when another one has its name."""
+    lines = [("lecombus", "hall-3"), ("hall-7/lecombus", "hall-3"), ("hall-8/lecombus", "hall-3"),
+             ("lecombus", "hall.3"), ("lecombus", "hall_3"), ("lecombus", "hall")]  # fmt: skip
+    made = [Topics(prefix, line) for prefix, line in lines]
+    assert len({one.client for one in made}) == len(lines)
+    devices = {one.device(drive) for one in made for drive in ("feeder", "3_feeder")}
+    assert len(devices) == 2 * len(lines)
+    assert all(re.fullmatch(r"[A-Za-z0-9_-]+", one) for one in devices)
+    assert (made[0].client, made[0].device("feeder")) == (
+        "lecombus-hall-3", "lecombus_hall-3_feeder")  # fmt: skip
 
 
 @pytest.mark.parametrize(

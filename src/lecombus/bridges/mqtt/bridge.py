@@ -162,11 +162,10 @@ class MqttBridge:
     async def _serve_until_lost(self) -> str:
         """Serve one connection; returns why it ended."""
         why: list[str] = []
-        identifier = f"lecombus-{self._roster.line.name}"
         try:
             async with open_broker(
-                self._entry, identifier, self._offline("the bridge was lost"), self._will_limits,
-                self._take,
+                self._entry, self._topics.client, self._offline("the bridge was lost"),
+                self._will_limits, self._take,
             ) as broker:  # fmt: skip
                 await self._begin(broker)
                 async with anyio.create_task_group() as tasks:

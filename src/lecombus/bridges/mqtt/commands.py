@@ -94,14 +94,20 @@ class Pulse:
 
     def now_s(self) -> float:
         """Return the time, which goes on while the computer sleeps, seconds."""
-        return anyio.current_time() + slept_s() - self._slept_before_s
+        return self._with_sleep_s(anyio.current_time())
 
-    def sent_s(self) -> float:
+    def _with_sleep_s(self, at_s: float) -> float:
+        return at_s + slept_s() - self._slept_before_s
+
+    def sent_s(self, came_s: float) -> float:
         """Return since when a message that comes now may have been under way, by `now_s`.
 
         A delay of up to `USUAL_DELAY_S` is not counted.
+
+        Args:
+            came_s: The time of the event loop, of which anyio knows nothing outside of a task.
         """
-        now_s = self.now_s()
+        now_s = self._with_sleep_s(came_s)
         return now_s if now_s - self.proven_s <= USUAL_DELAY_S else self.proven_s
 
 
@@ -176,7 +182,7 @@ class Commands:
     def take(self, incoming: Incoming) -> None:
         """Take a message, outside of any task."""
         if self._topics.command(incoming.topic) is not None:
-            self._inbox.append(replace(incoming, came_s=self._pulse.sent_s()))
+            self._inbox.append(replace(incoming, came_s=self._pulse.sent_s(incoming.came_s)))
             self._came.set()
 
     async def run(self) -> None:

@@ -75,12 +75,7 @@ class Discovery:
 
     def topic(self, drive: str) -> str:
         """Where a drive stands."""
-        return f"{self._prefix}/device/{self.identifier(drive)}/config"
-
-    def identifier(self, drive: str) -> str:
-        """By what Home Assistant knows a drive; letters, digits, `_` and `-` only."""
-        line = self._line.replace(".", "-")
-        return f"lecombus_{line}_{drive}"
+        return f"{self._prefix}/device/{self._topics.device(drive)}/config"
 
     def is_ours(self, payload: bytes) -> bool:
         """Whether a device that stands at the broker is a drive of this line."""
@@ -103,7 +98,7 @@ class Discovery:
         there = {"topic": self._topics.drive_state(drive.name), "value_template": DRIVE_IS_THERE}
         return {
             "device": {
-                "identifiers": [self.identifier(drive.name)],
+                "identifiers": [self._topics.device(drive.name)],
                 "name": f"{self._line} {drive.name}",
                 "manufacturer": "Lenze",
                 "model": drive.family,
@@ -155,7 +150,7 @@ class Discovery:
     def _component(
         self, drive: FollowedDrive, key: str, platform: str, **more: Any
     ) -> tuple[str, dict[str, Any]]:
-        unique = f"{self.identifier(drive.name)}_{key}"
+        unique = f"{self._topics.device(drive.name)}_{key}"
         return key, {"platform": platform, "unique_id": unique, **more}
 
     def _value(self, drive: FollowedDrive, code: str, good_s: float) -> tuple[str, dict[str, Any]]:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 __all__ = ["CommandTopic", "Topics"]
+
+USUAL_PREFIX: Final = "lecombus"
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +40,24 @@ class Topics:
     def __init__(self, prefix: str, line: str) -> None:
         self.prefix = prefix
         self.root = f"{prefix}/{line}"
+        self._line = line
+
+    @property
+    def digest(self) -> str:
+        """Eight digits that tell this line from one whose name looks the same elsewhere."""
+        return hashlib.sha256(self.root.encode()).hexdigest()[:8]
+
+    @property
+    def client(self) -> str:
+        """The line's name as a client; a broker has each but once, whatever the first levels."""
+        name = f"lecombus-{self._line}"
+        return name if self.prefix == USUAL_PREFIX else f"{name}-{self.digest}"
+
+    def device(self, drive: str) -> str:
+        """A drive's name where it has one level; letters, digits, `_` and `-` only."""
+        name = f"lecombus_{self._line.replace('.', '-')}_{drive}"
+        is_clear = self.prefix == USUAL_PREFIX and not set("._") & set(self._line)
+        return name if is_clear else f"{name}_{self.digest}"
 
     @property
     def line_state(self) -> str:
