@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, cast
@@ -16,6 +16,7 @@ from lecombus.api.limits import EVENTS_PATH
 from lecombus.api.scopes import NEEDS, Need, Of, guarded
 from lecombus.operations.actions import ACTOR, Actor
 from lecombus.operations.facade import Operations
+from lecombus.operations.operation_reports import GroupFacts
 from lecombus.tokens.grants import NOTHING, Grant, Scope, granted
 from support.api_line import Line, make_line
 
@@ -148,6 +149,23 @@ async def test_a_stop_needs_all_that_it_stops(
         answer = await ask(line.app, "POST", "/v1/stop", {"action": "inhibit", "target": target})
     assert allows(answer) == stops
     assert bool(line.ops.asked) == stops
+
+
+async def test_a_group_that_a_reload_widens_while_the_body_comes_is_judged_by_what_it_is_then(
+    line: Line, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def body() -> AsyncIterator[bytes]:
+        yield b'{"val'
+        wide = GroupFacts("conveyors", ("feeder", "belt", "fan"), None)
+        monkeypatch.setattr(line.ops, "groups", lambda: (wide,))
+        yield b'ue": 1}'
+
+    transport = httpx2.ASGITransport(app=line.app)
+    with acting(granted([Scope.CONTROL], ["feeder", "belt"])):
+        async with httpx2.AsyncClient(transport=transport, base_url="http://localhost") as client:
+            answer = await client.put("/v1/groups/conveyors/codes/C0046", content=body())
+    assert answer.status_code == 403, answer.text
+    assert line.ops.asked == []
 
 
 async def test_a_lease_of_other_drives_is_neither_seen_nor_ended(line: Line) -> None:

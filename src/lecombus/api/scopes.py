@@ -7,7 +7,8 @@ path leads past it. What a request may do is the `grant` of its `Actor`, which t
 its socket has set: everything over the Unix socket, reads over TCP without tokens, what the token
 says with them (`access`).
 
-A call whose targets stand in its body asks `require_target` itself; its row says so.
+A call whose targets stand in its body asks `require_target` itself; its row says so. A token for
+some drives is judged once more when the body has come: a reload may have changed a group by then.
 A read-only daemon (`api.read_only`) refuses writes at every socket, and no stop.
 """
 
@@ -23,6 +24,7 @@ from typing import Final
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
+from starlette.types import Message
 
 from lecombus.api.answers import ProblemDocument, RefusedRequestError
 from lecombus.api.decimal_json import short
@@ -159,15 +161,27 @@ def with_guard(route: Route, ops: Operations, refused: SparseLog, *, read_only: 
         method = "GET" if request.method == "HEAD" else request.method
         need = needs[method]
         assert need is not None
-        try:
-            check(request, need, ops, read_only=read_only)
-        except RefusedRequestError as exc:
-            who = ACTOR.get().fields()
-            refused.log(**who, call=f"{method}_{route.path}", reason=exc.problem.kind)
-            raise
+
+        def judge() -> None:
+            try:
+                check(request, need, ops, read_only=read_only)
+            except RefusedRequestError as exc:
+                who = ACTOR.get().fields()
+                refused.log(**who, call=f"{method}_{route.path}", reason=exc.problem.kind)
+                raise
+
+        async def receive() -> Message:
+            message = await request.receive()
+            if message["type"] == "http.request" and not message.get("more_body"):
+                judge()
+            return message
+
+        judge()
         if not need.is_stop:
             LEASE.set(lease_token(request))
-        return await inner(request)
+        if ACTOR.get().grant.is_whole:
+            return await inner(request)
+        return await inner(Request(request.scope, receive))
 
     return Route(route.path, endpoint, methods=methods)
 
