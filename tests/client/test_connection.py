@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import ssl
 from collections.abc import Callable
 from decimal import Decimal
 from pathlib import Path
@@ -179,6 +180,27 @@ def test_a_proxy_that_lost_the_answer_leaves_the_outcome_unknown(first: Handler 
         assert "HTTP status 502" in result.reason or first is not None
 
     run(work())
+
+
+@pytest.mark.parametrize("error", [httpx2.ReadError, httpx2.ConnectError, ssl.SSLError])
+def test_a_daemon_that_does_not_take_the_certificate_is_said_to_be_so(
+    error: type[Exception],
+) -> None:
+    """Without an event loop httpx2 makes an error of reading of it; nothing was sent."""
+
+    def fail(request: httpx2.Request) -> httpx2.Response:
+        raise error("[SSL: TLSV13_ALERT_CERTIFICATE_REQUIRED] tlsv13 alert certificate required")
+
+    script = Script(fail)
+    line = line_of(httpx2.MockTransport(script))
+
+    async def work() -> None:
+        for act in (line.stop, line.status):
+            with pytest.raises(UnreachableError, match="does not accept your certificate"):
+                await act()
+
+    run(work())
+    assert len(script.asked) <= 3
 
 
 @pytest.mark.usefixtures("clock")

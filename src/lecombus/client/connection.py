@@ -205,6 +205,10 @@ class Connection:
 
     def unreachable(self, exc: httpx2.HTTPError | ssl.SSLError) -> UnreachableError:
         """Return what it means that a daemon could not be spoken with."""
+        said = str(exc).upper()
+        if "ALERT" in said and ("CERTIFICATE" in said or "UNKNOWN_CA" in said):
+            problem = f"{self.where} does not accept your certificate, or asks for one: {exc}"
+            return UnreachableError(problem, "name your certificate with its key")
         if isinstance(exc, httpx2.ReadTimeout | httpx2.WriteTimeout):
             problem = f"the daemon at {self.where} does not answer in time"
             return AnswerLostError(problem, "look at its log")
@@ -215,10 +219,6 @@ class Connection:
             problem = f"the daemon at {self.where} ended before it answered"
             remedy = "what was asked may have happened; look at its log, then ask again"
             return AnswerLostError(problem, remedy)
-        said = str(exc).upper()
-        if "ALERT" in said and ("CERTIFICATE" in said or "UNKNOWN_CA" in said):
-            problem = f"{self.where} does not accept your certificate, or asks for one: {exc}"
-            return UnreachableError(problem, "name your certificate with its key")
         if isinstance(exc, ssl.SSLError):
             problem = f"the connection to {self.where} broke: {exc}"
             return AnswerLostError(problem, "what was asked may have happened; look at its log")
