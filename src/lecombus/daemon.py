@@ -398,7 +398,7 @@ class Daemon:
                 # which no telegram went out.
                 gc.freeze()
             if self.healthy()[0]:
-                self._notifier.tell("WATCHDOG=1")
+                self._notifier.tell(PING)
             await anyio.sleep(TICK_S if self._ready else TICK_S / 10.0)
 
     async def _look_at_port(self, runtime: LineRuntime) -> None:
@@ -451,38 +451,39 @@ class Daemon:
             logger.error("event=shutdown-stop-failed action=%s reason=too slow", action)
 
 
+PING: Final = "WATCHDOG=1"
+UNSENT_MOST: Final = 8
+"""Messages that wait for a service manager; more than a start, a reload and an end need."""
+
+
 class Notifier:
     """Sends states to the service manager; does nothing where there is none.
 
     The protocol is one datagram to the socket named in NOTIFY_SOCKET (sd_notify(3)). It is twenty
     lines here because the Python bindings for it are either unmaintained or need a compiler and
     LGPL headers on the user's machine.
+
+    A manager that does not read must not hold the line up: nothing here waits. What could not be
+    sent goes before the next states, but for pings: a late one would speak of a line of before.
     """
 
     def __init__(self) -> None:
         address = os.environ.get("NOTIFY_SOCKET", "")
         self._address = "\0" + address[1:] if address.startswith("@") else address
-        self.watchdog_s = _watchdog_s()
+        self._unsent: list[str] = []
 
     def tell(self, *states: str) -> None:
         """Send states such as `READY=1`; a manager that does not listen is not our trouble."""
         if not self._address:
             return
-        with (
-            contextlib.suppress(OSError),
-            socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sock,
-        ):
+        waiting = [*self._unsent, "\n".join(states)]
+        kind = socket.SOCK_DGRAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK
+        with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, kind) as sock:
             sock.connect(self._address)
-            sock.sendall("\n".join(states).encode())
-
-
-def _watchdog_s() -> float | None:
-    """The time after which systemd restarts us without a ping, seconds; None when it does not."""
-    usec = os.environ.get("WATCHDOG_USEC", "")
-    pid = os.environ.get("WATCHDOG_PID", "")
-    if not usec.isdigit() or (pid and pid != str(os.getpid())):
-        return None
-    return int(usec) / 1e6 or None
+            while waiting:
+                sock.send(waiting[0].encode())
+                del waiting[0]
+        self._unsent = [one for one in waiting if one != PING][-UNSENT_MOST:]
 
 
 SIM_URL: Final = "sim:"
