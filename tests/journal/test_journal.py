@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
+import sqlite3
 import threading
 import time
 from collections.abc import Awaitable, Callable
@@ -374,6 +376,42 @@ def test_verifying_looks_for_a_head_that_was_logged(tmp_path: Path) -> None:
         assert "row 451 is missing" in (await journal.verify(Head(451, bytes(32)))).problem
 
     with_journal(tmp_path / "j", scenario)
+
+
+@pytest.mark.parametrize("tampered", [False, True])
+def test_a_file_is_verified_behind_its_doubts_too(tmp_path: Path, tampered: bool) -> None:
+    """A file that was removed once must not hide for years what is done to the next one."""
+    path = tmp_path / "j"
+
+    async def lose(journal: Journal) -> None:
+        for number in range(30):
+            journal.record("trip", "a", {"number": str(number)})
+        await until(lambda: journal.head.number == 30)
+        path.unlink()
+        journal.record("trip", "a")
+        await until(lambda: journal.trouble)
+        await until(lambda: not journal.trouble)
+        for number in range(300):
+            journal.record("trip", "a", {"number": str(number)})
+        await until(lambda: journal.head.number > 300)
+
+    with_journal(path, lose)
+    if tampered:
+        with contextlib.closing(sqlite3.connect(path)) as db, db:
+            db.execute("UPDATE entries SET drive = 'b' WHERE id = 250")
+
+    async def look(journal: Journal) -> None:
+        found = await journal.verify(journal.head)
+        assert found.problem.startswith("row 1 says: it was replaced by another one")
+        if tampered:
+            assert found.problem.endswith("; row 250 or the one before it was changed")
+            assert found.head.number == 249
+        else:
+            assert found.problem.endswith("; no other row is wrong")
+            assert found.head == journal.head
+        assert "row 999 is missing" in (await journal.verify(Head(999, b"x"))).problem or tampered
+
+    with_journal(path, look)
 
 
 def test_rows_are_given_in_pages_by_time_and_by_drive(tmp_path: Path) -> None:

@@ -61,11 +61,12 @@ def columns(file: JournalFile, what: str) -> list[tuple[Any, ...]]:
 
 def problem(file: JournalFile) -> str:
     """Verify a file in small pieces."""
-    at = file.ask(lambda db: reading.head_in(db, "anchor"))
+    at, doubts = file.ask(lambda db: reading.head_in(db, "anchor")), ""
     while True:
         found = file.ask(partial(reading.verify_rows, behind=at, end=file.head, most=3))
+        doubts += "".join(found.doubts)
         if found.problem or found.is_end:
-            return found.problem
+            return doubts + found.problem
         at = found.head
 
 

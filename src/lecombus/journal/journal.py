@@ -296,20 +296,23 @@ class Journal:
             JournalFileError: It cannot be read.
         """
         first = at = await self._ask(lambda db: reading.head_in(db, "anchor"))
-        rows = 0
+        rows, doubts = 0, list[str]()
         while True:
             found = await self._ask(partial(self._verified, at))
-            rows, at = rows + found.rows, found.head
-            problem = found.problem
+            rows, at, problem = rows + found.rows, found.head, found.problem
+            doubts += found.doubts
             if problem and (anchor := await self._anchor()).number > first.number:
                 first, at, rows = anchor, anchor, 0  # it was cut during this: begin again
+                doubts.clear()
                 continue
             if problem or found.is_end:
                 break
             await asyncio.sleep(0.002)
         if told is not None and not problem:
             problem = await self._objection_to(told, first)
-        return Verification(rows, first, at, problem)
+        if doubts and not problem:
+            problem = "no other row is wrong"
+        return Verification(rows, first, at, "; ".join(filter(None, (*doubts, problem))))
 
     @property
     def head(self) -> Head:

@@ -27,7 +27,7 @@ import apsw
 from lecombus.journal.chain import ASKED, FIRST_HASH, Head, Row, hash_of, json_of, one_line
 from lecombus.journal.kept import Fact, KeyRow, keep
 from lecombus.journal.migration import STEPS, bring_to_disk, migrate
-from lecombus.journal.reading import fact, hash_at, head_in, select
+from lecombus.journal.reading import DOUBT, fact, hash_at, head_in, select
 
 __all__ = ["FileSpace", "JournalFile", "JournalFileError"]
 
@@ -239,7 +239,7 @@ class JournalFile:
             self._settled = self.head.number
         rows = self._without_end(db, known.number, now_ms)
         if why:
-            rows.insert(0, Row("doubt", "", {"reason": why}, now_ms))
+            rows.insert(0, Row(DOUBT, "", {"reason": why}, now_ms))
             self.trouble = why
         self._commit(rows, (Fact(SETTLED, str(self._settled)),) if is_first else ())
 

@@ -15,6 +15,7 @@ import apsw
 from lecombus.journal.chain import Head, hash_of
 
 __all__ = [
+    "DOUBT",
     "StoredRow",
     "Verified",
     "fact",
@@ -34,6 +35,10 @@ ROWS: Final = (
     "EXISTS (SELECT 1 FROM entries WHERE intent = e.id) "
     "FROM entries AS e LEFT JOIN entries AS asked ON asked.id = e.intent"
 )
+
+DOUBT: Final = "doubt"
+"""The kind of a row that says that the file did not end where lecombus had ended it."""
+KIND, FIELDS = 2, 6  # places among the columns that are hashed
 
 OF_DRIVES: Final = "({0} = '[]' OR e.drive IN (SELECT value FROM json_each({0})))"
 
@@ -80,12 +85,14 @@ class Verified:
         rows: How many rows were looked at.
         problem: What is wrong behind that row; empty: nothing.
         is_end: There are no more rows.
+        doubts: What rows of kind `doubt` say; the chain goes on behind them.
     """
 
     head: Head
     rows: int
     problem: str = ""
     is_end: bool = False
+    doubts: tuple[str, ...] = ()
 
 
 def fact(db: apsw.Connection, name: str) -> str | None:
@@ -154,15 +161,18 @@ def verify_rows(db: apsw.Connection, *, behind: Head, end: Head, most: int) -> V
         "WHERE id > ?1 ORDER BY id LIMIT ?2",
         (behind.number, most),
     )
-    head = behind
+    head, doubts = behind, list[str]()
     for place, (*columns, digest) in enumerate(found):
         problem = objection(head, columns, digest)
         if problem:
-            return Verified(head, place, problem)
+            return Verified(head, place, problem, doubts=tuple(doubts))
+        if columns[KIND] == DOUBT:
+            doubts += doubts_of(head, columns)
         head = Head(columns[0], digest)
     if len(found) == most:
-        return Verified(head, most)
-    return Verified(head, len(found), objection_to_end(db, head, end), is_end=True)
+        return Verified(head, most, doubts=tuple(doubts))
+    problem = objection_to_end(db, head, end)
+    return Verified(head, len(found), problem, is_end=True, doubts=tuple(doubts))
 
 
 def hash_at(db: apsw.Connection, number: int) -> bytes | None:
@@ -174,16 +184,26 @@ def hash_at(db: apsw.Connection, number: int) -> bytes | None:
 
 def objection(before: Head, columns: Sequence[Any], digest: bytes) -> str:
     """Return what is wrong with a row behind another; empty: nothing."""
-    number, _, kind, _, intent, _, fields = columns
-    if number != before.number + 1:
-        return f"row {number} stands behind row {before.number}: rows are missing between them"
+    number, _, kind, _, intent, *_ = columns
+    if number != before.number + 1 and (kind != DOUBT or number <= before.number):
+        return missing(before, number)
     if hash_of(before.hash, *columns) != digest:
         return f"row {number} or the one before it was changed"
     if intent is not None and intent >= number:
         return f"row {number} is the end of a later row"
-    if kind == "doubt":
-        return f"row {number} says: {json.loads(fields)['reason']}"
     return ""
+
+
+def doubts_of(before: Head, columns: Sequence[Any]) -> list[str]:
+    """Return what a row of kind `doubt` means; numbers of rows taken off are not used again."""
+    number, said = columns[0], json.loads(columns[FIELDS])["reason"]
+    gap = [missing(before, number)] if number != before.number + 1 else []
+    return [*gap, f"row {number} says: {said}"]
+
+
+def missing(before: Head, number: int) -> str:
+    """Return what is wrong with a row that does not stand behind the one before it."""
+    return f"row {number} stands behind row {before.number}: rows are missing between them"
 
 
 def objection_to_end(db: apsw.Connection, head: Head, end: Head) -> str:
