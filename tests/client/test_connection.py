@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import socket
 import ssl
 from collections.abc import Callable
 from decimal import Decimal
@@ -17,6 +18,7 @@ from cli.daemon_stub import serve_stub
 from client.conftest import Handler, line_of
 from lecombus.client import Line, Outcome, ProblemError, UnreachableError
 from lecombus.client.connection import Json, body_text, finish, open_connection
+from lecombus.client.finding import find_daemon
 from support import api_line
 from support.virtual_loop import run
 
@@ -201,6 +203,24 @@ def test_a_daemon_that_does_not_take_the_certificate_is_said_to_be_so(
 
     run(work())
     assert len(script.asked) <= 3
+
+
+def test_a_host_that_is_not_known_is_said_to_be_so() -> None:
+    def fail(request: httpx2.Request) -> httpx2.Response:
+        why = socket.gaierror(-2, "Name or service not known")
+        raise httpx2.ConnectError(str(why), request=request) from why
+
+    line = line_of(httpx2.MockTransport(Script(fail)))
+
+    async def work() -> None:
+        with pytest.raises(UnreachableError, match=r"the host of here is not known.*name server"):
+            await line.stop()
+
+    run(work())
+
+
+def test_a_url_in_capitals_is_the_same_url() -> None:
+    assert find_daemon(None, "HTTPS://Hall-3.example:9740") == ("", "https://hall-3.example:9740")
 
 
 @pytest.mark.usefixtures("clock")

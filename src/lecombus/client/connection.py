@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 import math
+import socket
 import ssl
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping
@@ -225,6 +226,9 @@ class Connection:
         if "CERTIFICATE" in said:
             problem = f"the certificate of {self.where} is not trusted: {exc}"
             return UnreachableError(problem, "name the CA that signed it")
+        if is_because_of(exc, socket.gaierror):
+            problem = f"the host of {self.where} is not known: {exc}"
+            return UnreachableError(problem, "look at its name, and at this machine's name server")
         return no_daemon_at(self.where)
 
     def _end_of(self, response: httpx2.Response) -> Answer:
@@ -368,6 +372,13 @@ async def block(for_s: float) -> None:
 def seconds_text(for_s: float) -> str:
     """Return seconds as `Lecombus-Asked` takes them, never less than they are."""
     return f"{math.ceil(for_s * 1000) / 1000:.3f}"
+
+
+def is_because_of(exc: BaseException | None, kind: type[BaseException]) -> bool:
+    """Whether an error, or one of those that led to it, is of a kind."""
+    while exc is not None and not isinstance(exc, kind):
+        exc = exc.__cause__ or exc.__context__
+    return exc is not None
 
 
 def is_turned_away(answer: Answer) -> bool:

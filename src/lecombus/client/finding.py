@@ -76,7 +76,7 @@ def _checked_url(url: str) -> str:
     except httpx2.InvalidURL:
         parsed = httpx2.URL()
     if parsed.scheme in ("http", "https") and parsed.host:
-        return url
+        return str(parsed)  # https, also where it was written HTTPS
     raise AmbiguousDaemonError(f"`{url}` is no URL", "write it like http://127.0.0.1:9740")
 
 
