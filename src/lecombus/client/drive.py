@@ -108,19 +108,23 @@ class Drive:
         what: dict[str, Json] = {"drive": self.name, "code": code_text(code)}
         return await self.line.result("PUT", path, document, WriteResult.of, what)
 
-    async def enable(self, *, expires_s: float | None = None) -> VerbResult:
+    async def enable(
+        self, *, expires_s: float | None = None, asked_ago_s: float = 0.0
+    ) -> VerbResult:
         """Release quick stop and inhibit: the motor turns if it has a setpoint.
 
         `verified`: the drive's status words show it. It is refused while a fault is active.
 
         Args:
             expires_s: It is not begun any more after so long, 0.001 to 3600 seconds.
+            asked_ago_s: How long ago it was asked for by one for whom this program asks, seconds;
+                a stop since then ends it.
 
         Raises:
             ProblemError: There is no such drive, or its family has no such command.
             UnreachableError: The daemon cannot be reached: nothing was sent.
         """
-        return await self._verb("enable", expires_document(expires_s))
+        return await self._verb("enable", expires_document(expires_s), asked_ago_s)
 
     async def set_speed(
         self,
@@ -190,9 +194,13 @@ class Drive:
         params = {"fresh": "true"} if fresh else {}
         return Why.of((await self.line.ask(f"{self.path}/why", lang=language, **params)).data)
 
-    async def _verb(self, verb: str, document: Mapping[str, Json] | None) -> VerbResult:
+    async def _verb(
+        self, verb: str, document: Mapping[str, Json] | None, asked_ago_s: float = 0.0
+    ) -> VerbResult:
         path, what = f"{self.path}/verbs/{verb}", {"drive": self.name, "verb": verb}
-        return await self.line.result("POST", path, document, VerbResult.of, what)
+        return await self.line.result(
+            "POST", path, document, VerbResult.of, what, asked_ago_s=asked_ago_s
+        )
 
 
 class Group:

@@ -277,6 +277,8 @@ class Line:
         document: Mapping[str, Json] | None,
         read: Callable[[Document, Answer | None], R],
         what: Mapping[str, Json],
+        *,
+        asked_ago_s: float = 0.0,
     ) -> R:
         """Have something done, and return how it ended, also if its answer was lost.
 
@@ -286,6 +288,7 @@ class Line:
             document: The body.
             read: Makes the result of the answer.
             what: What the result says of the request, where the daemon said nothing.
+            asked_ago_s: How long ago it was asked for, seconds: a stop since then ends it.
 
         Raises:
             ProblemError: The request is wrong: it was not carried out.
@@ -293,7 +296,9 @@ class Line:
         """
         try:
             target = str(what.get("target") or what.get("drive"))
-            answer = await self.connection.act(method, path, document, self._token_for(target))
+            answer = await self.connection.act(
+                method, path, document, self._token_for(target), asked_ago_s=asked_ago_s
+            )
         except AnswerLostError as exc:
             remedy = "it may have happened: read back, or look at the drive, before it is repeated"
             lost = {"reason": exc.problem, "remedy": remedy, "type": "answer-lost"}

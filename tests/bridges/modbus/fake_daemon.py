@@ -26,11 +26,13 @@ class FakeDaemon:
     Attributes:
         sent: What was carried out: `enable`, `set-speed 35.4 Hz`, `quick-stop feeder`.
         renewals: When the lease was renewed.
+        asked_ago_s: How long ago each `enable` was asked for.
     """
 
     def __init__(self) -> None:
         self.sent: list[str] = []
         self.renewals: list[float] = []
+        self.asked_ago_s: list[float] = []
         self.asked_at_s: list[float] = []
         self.outcome = "verified"
         self.kind = ""
@@ -64,6 +66,8 @@ class FakeDaemon:
             self.sent.append(f"{body['action']} {body['target']}")
             self.is_stopped = True
             return self.result({"target": body["target"], "how": "one-by-one", "members": []})
+        if path.endswith("/enable"):
+            self.asked_ago_s.append(float(request.headers["lecombus-asked"]))
         return await self.verb(path, body, request.headers.get("lecombus-lease", ""))
 
     async def verb(self, path: str, body: dict[str, Any], token: str) -> httpx2.Response:

@@ -9,9 +9,9 @@ from bridges.modbus.fake_daemon import LEASE_S, OTHER_PLC, PLC, Bench, on_a_benc
 from lecombus.bridges.modbus.drive_control import LONGEST_RETRY_S, STOP_AGAIN_S
 from lecombus.bridges.modbus.register_map import OUTCOMES, Command, WriteReason
 
-PENDING, DONE, VERIFIED, REFUSED, SUPERSEDED, UNKNOWN = (
+PENDING, DONE, VERIFIED, REFUSED, EXPIRED, SUPERSEDED, UNKNOWN = (
     OUTCOMES.index(word)
-    for word in ("pending", "done", "verified", "refused", "superseded", "unknown")
+    for word in ("pending", "done", "verified", "refused", "expired", "superseded", "unknown")
 )
 NO_HEARTBEAT, COUNTS, HELD = 1, 2, 3
 
@@ -286,6 +286,31 @@ def test_a_stop_prevents_an_enable_that_waits_behind_its_setpoint() -> None:
         await anyio.sleep(0.7)
         assert bench.daemon.sent == ["set-speed 10 Hz", "enable", "set-speed 20 Hz"]
         assert bench.command == (2, SUPERSEDED, WriteReason.STOPPED)
+
+    on_a_bench(test)
+
+
+@pytest.mark.parametrize(
+    ("takes_s", "sent", "outcome", "reason"),
+    [(0.4, True, VERIFIED, WriteReason.NONE), (1.1, False, EXPIRED, WriteReason.OVERLOADED)],
+)
+def test_an_enable_that_waits_behind_setpoints_counts_as_asked_for_when_it_was_written(
+    takes_s: float, sent: bool, outcome: int, reason: WriteReason
+) -> None:
+    """A stop from elsewhere ends it then, and it expires."""
+
+    async def test(bench: Bench) -> None:
+        await enabled(bench, 100000)
+        await bench.cycle(0.3, Command.NONE, 100000)
+        asked, bench.daemon.takes_s = len(bench.daemon.asked_ago_s), takes_s
+        bench.control.write_setpoint(PLC, 150000)
+        await anyio.sleep(0.05)
+        await bench.cycle(3.5 * takes_s, Command.ENABLE, 200000)
+        assert bench.daemon.sent[-1] == ("enable" if sent else "set-speed 20 Hz")
+        assert bench.command == (2, outcome, reason)
+        assert [round(one, 2) for one in bench.daemon.asked_ago_s[asked:]] == (
+            [2 * takes_s - 0.05] if sent else []
+        )
 
     on_a_bench(test)
 

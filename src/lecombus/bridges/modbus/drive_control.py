@@ -22,6 +22,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from decimal import Decimal
+from functools import partial
 from typing import Final, Literal, Protocol
 
 import anyio
@@ -60,6 +61,7 @@ LONGEST_RETRY_S: Final = 60.0
 PENDING: Final = OUTCOMES.index("pending")
 REFUSED: Final = OUTCOMES.index("refused")
 SUPERSEDED: Final = OUTCOMES.index("superseded")
+EXPIRED: Final = OUTCOMES.index("expired")
 UNKNOWN: Final = OUTCOMES.index("unknown")
 GOOD: Final = (OUTCOMES.index("done"), OUTCOMES.index("verified"))
 
@@ -381,29 +383,39 @@ class PlcControl:
     async def _carry_out(self, command: Command, sequence: int, stops: int) -> None:
         """Carry a command out, unless a stop was written since."""
         outcome, reason = UNKNOWN, WriteReason.NO_LEASE
+        written_s = anyio.current_time()
         try:
             if command is Command.ENABLE:
-                outcome, reason = await self._enable(stops)
+                outcome, reason = await self._enable(stops, written_s)
             else:
-                outcome, reason = await self._ask(command)
+                outcome, reason = await self._ask(command, written_s)
         finally:
             self._last_command.end(sequence, outcome, reason)
 
-    async def _enable(self, stops: int) -> tuple[int, WriteReason]:
-        """Give the setpoint first, so that the drive does not start at an old one."""
+    async def _enable(self, stops: int, written_s: float) -> tuple[int, WriteReason]:
+        """Give the setpoint first, so that the drive does not start at an old one.
+
+        That takes time: it counts as asked for when it was written, so that it expires, and that a
+        stop from elsewhere ends it.
+        """
         outcome, reason = await self._give_setpoint()
         if outcome not in GOOD:
             return REFUSED, reason
         if self._stops.count != stops:
             return SUPERSEDED, WriteReason.STOPPED
-        outcome, reason = await self._ask(Command.ENABLE)
+        outcome, reason = await self._ask(Command.ENABLE, written_s)
         self._retry_at_s = 0.0
         self._setpoint_due.set()
         return outcome, reason
 
-    async def _ask(self, command: Command) -> tuple[int, WriteReason]:
+    async def _ask(self, command: Command, written_s: float) -> tuple[int, WriteReason]:
+        ago_s = max(0.001, anyio.current_time() - written_s)
+        if ago_s >= EXPIRES_S:
+            return EXPIRED, WriteReason.OVERLOADED
         drive = self._line().drive(self.drive)
-        ask = drive.enable if command is Command.ENABLE else drive.reset_fault
+        ask = drive.reset_fault
+        if command is Command.ENABLE:
+            ask = partial(drive.enable, asked_ago_s=ago_s)
         logger.info("drive=%s event=command command=%s client=%s",
                     self.drive, command.verb, self._owner)  # fmt: skip
         return await outcome_of(f"{command.verb} of {self.drive}", lambda: ask(expires_s=EXPIRES_S))
