@@ -173,3 +173,16 @@ def test_a_stream_whose_tls_breaks_goes_on_too() -> None:
     assert [event.data["n"] for event in read(served, count=2)] == [1, 2]
     with pytest.raises(UnreachableError, match="broke"):
         read(Served(ssl.SSLError("bad record mac")))
+
+
+def test_another_server_that_answers_is_not_taken_for_a_quiet_line() -> None:
+    page = httpx2.Response(200, html="<html>\n\nWelcome</html>")
+    with pytest.raises(UnreachableError, match="is not lecombus"):
+        read(Served(page, page, streamed(frame(1))), count=1)
+
+
+def test_answers_that_end_without_a_word_are_no_daemon_either() -> None:
+    served = Served(streamed(frame(1)), *(streamed() for _ in range(50)))
+    with pytest.raises(UnreachableError, match="says nothing"):
+        read(served, patience_s=10.0)
+    assert 5 < len(served.asked) < 15

@@ -35,6 +35,8 @@ LONGEST_PAUSE_S: Final = 2.0
 BYTES_LIMIT: Final = 1 << 20
 """Of one line; no event is a hundredth of it."""
 
+EVENTS_TYPE: Final = "text/event-stream"
+
 PASSING: Final = frozenset((429, 502, 503, 504))
 """HTTP statuses that may be better the next time."""
 
@@ -143,7 +145,7 @@ async def read_events(
     """
     last_id, heard_s, pause_s = after, -math.inf, 0.0
     while True:
-        frames = FrameReader(last_id)
+        frames, asked_s = FrameReader(last_id), anyio.current_time()
         try:
             async with aclosing(answer_bytes(connection, params, last_id)) as answer:
                 async for data in answer:
@@ -155,6 +157,9 @@ async def read_events(
             may_pass = isinstance(exc.__cause__, httpx2.HTTPError | ssl.SSLError | PassingError)
             if not may_pass or anyio.current_time() - heard_s >= patience_s:
                 raise
+        if heard_s < asked_s and anyio.current_time() - heard_s >= patience_s:
+            problem = f"the daemon at {connection.where} says nothing: its answers end"
+            raise UnreachableError(problem, "look at its log")
         # An answer that ends: the daemon stops, or has dropped a reader that was too slow.
         pause_s = min(max(FIRST_PAUSE_S, 2 * pause_s), LONGEST_PAUSE_S)
         await anyio.sleep(pause_s)
@@ -173,7 +178,7 @@ async def answer_bytes(
         ProblemError: The daemon refuses.
         UnreachableError: It cannot be reached, or refuses for now.
     """
-    headers = {"accept": "text/event-stream"} | ({"last-event-id": last_id} if last_id else {})
+    headers = {"accept": EVENTS_TYPE} | ({"last-event-id": last_id} if last_id else {})
     timeout = httpx2.Timeout(CONNECT_WITHIN_S, read=SILENT_S)
     try:
         async with connection.http.stream(
@@ -186,6 +191,9 @@ async def answer_bytes(
                     text = f"the daemon at {connection.where} gives no events: {problem.problem}"
                     raise UnreachableError(text, problem.remedy, problem.kind) from PassingError()
                 raise problem
+            if not response.headers.get("content-type", EVENTS_TYPE).startswith(EVENTS_TYPE):
+                text = f"what answers at {connection.where} is not lecombus, or gives no events"
+                raise UnreachableError(text, "look at the address and the port")
             async for data in response.aiter_bytes():
                 yield data
     except (httpx2.HTTPError, ssl.SSLError) as exc:
