@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -42,6 +43,27 @@ def test_a_drive_is_read_only_and_can_be_stopped_unless_the_roster_allows_more()
         assert (value["unit_of_measurement"], value["device_class"]) == ("Hz", "frequency")
         assert value["expire_after"] == 6  # read every 2 s: stale after 5 s
     assert writes == [{"quick_stop", "inhibit"}, {"quick_stop", "inhibit", "speed"}]
+
+
+def test_state_and_stops_are_there_while_the_daemon_is_also_if_the_line_is_lost() -> None:
+    follower = Followed({"feeder": "8200vector"})
+    (message,) = devices(follower).due()
+    found = json.loads(message.payload)
+
+    def shown_at(given: list[dict[str, str]], topic: str) -> list[str]:
+        """At which words of a topic something is shown, by a template `value == ..` or `in ..`."""
+        (template,) = (one["value_template"] for one in given if one["topic"] == topic)
+        condition = template.removeprefix("{{ 'online' if value ").removesuffix(
+            " else 'offline' }}"
+        )
+        return re.findall(r"'([a-z-]+)'", condition)
+
+    line = "lecombus/hall-3/state"
+    for key in ("state", "quick_stop", "inhibit"):
+        there = found["components"][key]["availability"]
+        assert shown_at(there, line) == ["online", "lost", "closed"]
+    assert shown_at(found["availability"], line) == ["online"]
+    assert shown_at(found["availability"], "lecombus/hall-3/feeder/state") == ["online", "degraded"]
 
 
 def test_codes_and_periods_that_a_reload_changed_are_made_known() -> None:

@@ -36,6 +36,7 @@ BOTH_WAYS: Final[Mapping[str, frozenset[str]]] = {
 """Families whose setpoint has a sign, by its unit: that of an 821x has one in `%` (C0127 = 1)."""
 
 LINE_IS_THERE: Final = "{{ 'online' if value == 'online' else 'offline' }}"
+DAEMON_IS_THERE: Final = "{{ 'online' if value in ('online', 'lost', 'closed') else 'offline' }}"
 DRIVE_IS_THERE: Final = "{{ 'online' if value in ('online', 'degraded') else 'offline' }}"
 
 SPEED_MOST: Final[Mapping[str, int]] = {"Hz": 650, "%": 200}
@@ -95,6 +96,7 @@ class Discovery:
 
     def _document(self, drive: FollowedDrive, follower: LineFollower) -> dict[str, Any]:
         line = {"topic": self._topics.line_state, "value_template": LINE_IS_THERE}
+        daemon = {**line, "value_template": DAEMON_IS_THERE}
         there = {"topic": self._topics.drive_state(drive.name), "value_template": DRIVE_IS_THERE}
         return {
             "device": {
@@ -107,16 +109,16 @@ class Discovery:
             "origin": {"name": "lecombus", "sw_version": __version__},
             "availability": [line, there],
             "availability_mode": "all",
-            "components": dict(self._components(drive, follower, [line])),
+            "components": dict(self._components(drive, follower, [daemon])),
         }
 
     def _components(
-        self, drive: FollowedDrive, follower: LineFollower, line: list[dict[str, str]]
+        self, drive: FollowedDrive, follower: LineFollower, daemon: list[dict[str, str]]
     ) -> Iterator[tuple[str, dict[str, Any]]]:
         whole = {"state_topic": self._topics.json(drive.name)}
         yield self._component(
             drive, "state", "sensor", name="State", entity_category="diagnostic",
-            state_topic=self._topics.drive_state(drive.name), availability=line,
+            state_topic=self._topics.drive_state(drive.name), availability=daemon,
         )  # fmt: skip
         yield self._component(
             drive, "motion", "sensor", name="Motion", **whole,
@@ -136,7 +138,7 @@ class Discovery:
                 yield self._value(drive, code, good_for_s(period_s, follower.stretch))
         for verb, name in (("quick-stop", "Quick stop"), ("inhibit", "Inhibit")):
             yield self._component(
-                drive, verb.replace("-", "_"), "button", name=name, availability=line,
+                drive, verb.replace("-", "_"), "button", name=name, availability=daemon,
                 command_topic=self._topics.do(drive.name, verb), qos=2, retain=False,
             )  # fmt: skip
         if self._control:
