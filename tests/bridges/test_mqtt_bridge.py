@@ -11,8 +11,10 @@ import anyio
 import pytest
 
 from lecombus.bridges.mqtt.bridge import MqttBridge, Place
+from lecombus.bridges.mqtt.broker import Limits
 from lecombus.bridges.mqtt.retained import Message
 from lecombus.client import Event
+from lecombus.parameters import Code
 from lecombus.roster import MqttEntry
 from support.virtual_loop import run
 
@@ -20,13 +22,26 @@ from support.virtual_loop import run
 def made(directory: Path) -> Any:
     roster: Any = SimpleNamespace(
         line=SimpleNamespace(name="hall-3"), api=SimpleNamespace(socket="/run/x.sock"),
-        mqtt=MqttEntry(host="127.0.0.1", port=1, tls=False), drives=(), groups={},
+        mqtt=MqttEntry(host="127.0.0.1", port=1, tls=False),
+        drives=(SimpleNamespace(name="feeder", writable={Code(46)}),
+                SimpleNamespace(name="belt", writable={Code(46), Code(39, 1)})),
+        groups={"all": SimpleNamespace(members=("feeder", "belt"))},
     )  # fmt: skip
     return MqttBridge(roster, directory)
 
 
 def hear(bridge: Any, identifier: str) -> None:
     bridge._heard(Event(identifier, "trip", "feeder", {"active": True}))
+
+
+def test_without_wildcards_drives_and_groups_take_the_commands_of_the_roster(
+    tmp_path: Path,
+) -> None:
+    broker = SimpleNamespace(limits=Limits(wildcards=False))
+    filters = made(tmp_path)._filters(broker)
+    assert len(set(filters)) == len(filters) == 3 * 5 + 1 + 2 + 2
+    for one in ("all/do/quick-stop", "feeder/do/enable", "feeder/set/C0046", "all/set/C0039/1"):
+        assert f"lecombus/hall-3/{one}" in filters
 
 
 def test_events_count_as_had_when_they_were_sent_or_are_on_the_disk(tmp_path: Path) -> None:

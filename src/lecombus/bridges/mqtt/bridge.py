@@ -193,6 +193,9 @@ class MqttBridge:
         if not broker.limits.retain:
             logger.warning("event=mqtt-limited broker=%s reason=it keeps no retained messages",
                            self._where)  # fmt: skip
+        if not broker.limits.wildcards:
+            reason = "it takes no wildcards, so what a reload adds takes no commands"
+            logger.warning("event=mqtt-limited broker=%s reason=%s", self._where, reason)
         self._broker = broker
         await broker.subscribe(self._filters(broker))
         if self._devices is not None:
@@ -206,12 +209,13 @@ class MqttBridge:
         """Return what to subscribe to; without wildcards what the roster has."""
         if broker.limits.wildcards:
             return self._topics.command_filters
-        drives = self._roster.drives
-        names = [*(drive.name for drive in drives), *self._roster.groups]
+        writable = {drive.name: set(drive.writable) for drive in self._roster.drives}
+        for name, group in self._roster.groups.items():
+            writable[name] = set().union(*(writable[member] for member in group.members))
         return (
-            *(self._topics.do(name, verb) for name in names for verb in VERBS),
-            *(self._topics.set(drive.name, str(code)) for drive in drives
-              for code in sorted(drive.writable)),
+            *(self._topics.do(name, verb) for name in writable for verb in VERBS),
+            *(self._topics.set(name, str(code)) for name, codes in writable.items()
+              for code in sorted(codes)),
         )  # fmt: skip
 
     def _take(self, incoming: Incoming) -> None:
