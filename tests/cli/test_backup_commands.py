@@ -177,6 +177,19 @@ def test_a_backup_never_replaces_something_else(run: Run, drive: Drive, tmp_path
     assert drive.stub.asked == []
 
 
+@pytest.mark.timeout(20)
+def test_a_backup_does_not_wait_for_what_a_pipe_says(
+    run: Run, drive: Drive, tmp_path: Path
+) -> None:
+    """Such as `-o /dev/stdout` in a pipe."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    for place in (pipe, tmp_path, Path("/dev/null")):
+        ran = run("backup", "feeder", "-o", str(place))
+        assert (ran.status, drive.stub.asked) == (2, [])
+        assert f"{place} is no file; name one, or leave -o out" in ran.err
+
+
 def test_a_drive_that_is_not_there_is_said_before_anything_is_read(run: Run, drive: Drive) -> None:
     drive.stub.answers[f"GET {DRIVE}"] = problem("no-such-drive", 404, "there is no drive feeder")
     ran = run("backup", "feeder")

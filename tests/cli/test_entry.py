@@ -132,6 +132,11 @@ def raising(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
         ),
         (PermissionError(13, "Permission denied", "/dev/x"), 4, "/dev/x: permission denied\n"),
         (FileNotFoundError(2, "No such file", "/dev/x"), 2, "/dev/x: no such file\n"),
+        (
+            FileNotFoundError(2, "No such file", "/dev/pts/1", None, "/x/pty"),
+            2,
+            "/dev/pts/1 -> /x/pty: no such file\n",
+        ),
         (OSError(98, "Address already in use"), 1, "address already in use\n"),
         (KeyboardInterrupt(), 130, ""),
     ],

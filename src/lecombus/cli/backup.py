@@ -114,6 +114,8 @@ def check_target(path: Path) -> None:
         raise CommandError(Exit.USAGE, f"there is no folder {path.parent}", "make it first")
     if not path.exists():
         return
+    if not path.is_file():  # reading a pipe would wait without end
+        raise CommandError(Exit.USAGE, f"{path} is no file", "name one, or leave -o out")
     try:
         load_backup(path)
     except (ConfigError, CommandError) as exc:
@@ -468,9 +470,8 @@ def drive_of(path: Path) -> str:
 
 def naming(drive: str, problem: Problem) -> Problem:
     """Return a problem that names its drive."""
-    if problem.drive == drive:
-        return problem
-    return replace(problem, problem=f"{drive}: {problem.problem}", drive=drive)
+    text = problem.problem if problem.drive == drive else f"{drive}: {problem.problem}"
+    return replace(problem, problem=text, drive=drive)
 
 
 # ---- the JSON form --------------------------------------------------------------------------

@@ -179,7 +179,8 @@ def _as_system_error(exc: OSError) -> CommandError:
     elif isinstance(exc, FileNotFoundError | IsADirectoryError):
         status = Exit.USAGE
     what = (exc.strerror or type(exc).__name__).lower()
-    return CommandError(status, f"{exc.filename}: {what}" if exc.filename else what)
+    names = " -> ".join(str(name) for name in (exc.filename, exc.filename2) if name)  # of a link
+    return CommandError(status, f"{names}: {what}" if names else what)
 
 
 def _how_to_call(exc: click.ClickException) -> str:
