@@ -9,6 +9,7 @@ import re
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import anyio
 import pytest
@@ -591,6 +592,38 @@ def test_our_own_inhibit_is_no_stop_since(run: Run, drive: Drive, tmp_path: Path
     found = read_progress(notes.read_text())
     assert found is not None
     assert (found.stops, list(found.done)) == ("r-feeder-2", [Code(11)])
+
+
+@pytest.mark.parametrize(
+    ("mark", "goes_on"),
+    [("r-feeder-2", True), ("r-feeder-3", False), ("s-feeder-9", True), ("", True)],
+)
+def test_a_stop_by_another_one_beside_our_inhibit_ends_the_restore(
+    run: Run,
+    drive: Drive,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    mark: str,
+    goes_on: bool,
+) -> None:
+    (tmp_path / "expected").touch()
+    path = to_restore(run, drive, tmp_path)
+    drive.rights(stops="r-feeder-1")
+    drive.code("C0150", "H0000")
+    plain = HttpDrive._act
+
+    async def act(to: HttpDrive, method: str, path: str, document: Any) -> WriteAttempt:
+        if path == "/v1/stop":
+            drive.rights(stops=mark)  # ours, and perhaps another one
+            drive.code("C0150", "H0080")
+            return WriteAttempt(True)
+        return await plain(to, method, path, document)
+
+    monkeypatch.setattr(HttpDrive, "_act", act)
+    ran = run("restore", str(path), "feeder", "--yes", "--enable")
+    assert ran.status == 1
+    assert any("C0011" in asked for asked in writes(drive)) is goes_on
+    assert ("stopped by another one too" in ran.err) is not goes_on
 
 
 def test_a_stop_while_the_user_is_asked_ends_the_restore(

@@ -25,6 +25,7 @@ from .backup_file import (
 from .compare import Comparison, Difference, compare
 from .restore_plan import RestorePlan, RestoreStep, Skip, make_plan
 from .restoring import (
+    SUPERSEDED,
     Progress,
     Restored,
     done_line,
@@ -37,6 +38,7 @@ from .restoring import (
 from .taking import Listener, NotUsable, RestoreAccess, Taken, take
 
 __all__ = [
+    "SUPERSEDED",
     "Backup",
     "BackupEntry",
     "BackupHead",

@@ -39,6 +39,7 @@ from .restore_plan import RestorePlan, RestoreStep
 from .taking import Listener, RestoreAccess, take, wait_until_usable
 
 __all__ = [
+    "SUPERSEDED",
     "Progress",
     "Restored",
     "done_line",
@@ -167,6 +168,8 @@ class Work:
                 self.result.inhibited_here = True
                 self._listener.say("the drive was not inhibited, and is now")
                 return
+            if said.kind == SUPERSEDED:
+                raise StopRestoreError(f"{STOPPED}: {said.text}")
             if not is_passing(said.kind):
                 break
         raise StopRestoreError("the drive could not be inhibited: nothing more is written to it")

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import anyio
 
-from lecombus.backups import NotUsable, ReadAttempt, WriteAttempt
+from lecombus.backups import SUPERSEDED, NotUsable, ReadAttempt, WriteAttempt
 from lecombus.cli.daemon_access import command_errors, drive_path
 from lecombus.cli.document_rows import kind_of
 from lecombus.cli.exits import CommandError, Exit
@@ -160,13 +160,18 @@ class HttpDrive:
         return await self._act("PUT", f"{self._path}/codes/{code}", document | self._ended_by())
 
     async def inhibit(self) -> WriteAttempt:
-        """Inhibit it: a stop, which waits for nothing, and ends none of what is written later."""
+        """Inhibit it: a stop, which waits for nothing, and ends none of what is written later.
+
+        A stop by another one since the mark was taken is no less one because ours came too.
+        """
         said = await self._act("POST", "/v1/stop", {"action": "inhibit", "target": self._name})
         try:
-            self.stops = (await self.restore_rights()).stops
+            before, self.stops = self.stops, (await self.restore_rights()).stops
         except CommandError as exc:
             kind, text = why(exc)
             return WriteAttempt(False, kind, text)
+        if stops_between(before, self.stops) > 1:
+            return WriteAttempt(False, SUPERSEDED, f"{self._name} was stopped by another one too")
         return said
 
     async def enable(self) -> WriteAttempt:
@@ -228,6 +233,14 @@ class HttpDrive:
             return data
         problem = f"what answers at {self._line.where} is not lecombus"
         raise CommandError(Exit.UNREACHABLE, problem, "look at the path")
+
+
+def stops_between(before: str, after: str) -> int:
+    """Return how many stops lie between two marks, which end in their number; 0: not known."""
+    run, _, first = before.rpartition("-")
+    other, _, last = after.rpartition("-")
+    is_known = run == other and first.isdecimal() and last.isdecimal()
+    return int(last) - int(first) if is_known else 0
 
 
 def why(exc: CommandError) -> tuple[str, str]:
