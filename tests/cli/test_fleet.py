@@ -98,6 +98,16 @@ def test_a_stop_goes_to_the_broker_of_the_command_line_and_not_of_the_environmen
     assert second.startswith("the broker 127.0.0.1:1: ")
 
 
+def test_json_is_printed_also_where_it_is_asked_for_before_the_stop(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("lecombus.cli.fleet_stop.send", lambda *_given, **_named: [])
+    words = ["--broker", "mqtt://127.0.0.1:1", "stop", "hall-3"]
+    for given in (["--json", *words], [*words, "--json"]):
+        main(["fleet", *given])
+        assert json.loads(capsys.readouterr().out)["stops"] == []
+
+
 @pytest.mark.parametrize("topics", ["", "/", "a/", "/a", "a/+", "#"])
 def test_topics_that_are_none_are_refused(topics: str) -> None:
     with pytest.raises(CommandError, match="no beginning of topics"):

@@ -67,7 +67,7 @@ def fleet_command(
     the broker cannot be reached; 4 it does not permit it.
     """
     if ctx.invoked_subcommand is not None:
-        ctx.obj = given
+        ctx.obj = {**given, "as_json": as_json}
         return Exit.DONE
     broker = broker_of(given)
     expected = frozenset() if expect is None else names_in(expect)

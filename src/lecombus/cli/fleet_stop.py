@@ -73,6 +73,7 @@ def stop_command(
     "answer"}]}, `answer` as of POST /v1/stop or null.
     """
     above = ctx.obj or {}
+    as_json = as_json or bool(above.get("as_json"))
     merged = {key: value or above.get(key) for key, value in given.items()}
     stopped = "no line was asked to stop"
     try:
