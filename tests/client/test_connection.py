@@ -205,6 +205,17 @@ def test_a_daemon_that_does_not_take_the_certificate_is_said_to_be_so(
     assert len(script.asked) <= 3
 
 
+@pytest.mark.parametrize("said", [{}, {"status": "ok"}, []])
+def test_an_answer_of_success_without_an_outcome_is_no_refusal(said: Json) -> None:
+    """It is none of this daemon's; what became of the write is not known."""
+    line = line_of(httpx2.MockTransport(Script(httpx2.Response(200, json=said))))
+
+    async def work() -> None:
+        assert (await line.drive("feeder").write("C0046", 5)).outcome is Outcome.UNKNOWN
+
+    run(work())
+
+
 def test_a_host_that_is_not_known_is_said_to_be_so() -> None:
     def fail(request: httpx2.Request) -> httpx2.Response:
         why = socket.gaierror(-2, "Name or service not known")

@@ -308,7 +308,7 @@ class Line:
             return read({**what, **known_of(found)}, answer)
         if answer.status in WRONG_REQUESTS:
             raise problem_error(answer)
-        refused = answer.status < 500 or answer.status == 503
+        refused = 400 <= answer.status < 500 or answer.status == 503
         outcome = Outcome.REFUSED if refused else Outcome.UNKNOWN
         return read({**what, **known_of(found), "outcome": outcome.value}, answer)
 
