@@ -25,3 +25,9 @@ async def client(line: Line) -> AsyncIterator[httpx2.AsyncClient]:
 @pytest.fixture
 def anyio_backend() -> str:
     return "asyncio"
+
+
+@pytest.fixture
+def standing_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No time passes between a request and what it asks for."""
+    monkeypatch.setattr("lecombus.api.idempotency.current_time", lambda: 5.0)

@@ -27,6 +27,7 @@ async def say(client: httpx2.AsyncClient, verb: str, content: str = "", **header
     return await client.post(PATH + verb, content=content, headers=headers)
 
 
+@pytest.mark.usefixtures("standing_clock")
 async def test_a_speed_is_passed_on_exactly(client: httpx2.AsyncClient, line: Line) -> None:
     body = '{"value": 35.40, "unit": "hz", "expires": "2s", "verify": true}'
     answer = await say(client, "set-speed", body)
@@ -36,6 +37,7 @@ async def test_a_speed_is_passed_on_exactly(client: httpx2.AsyncClient, line: Li
     assert line.ops.asked == [asked]
 
 
+@pytest.mark.usefixtures("standing_clock")
 @pytest.mark.parametrize("verb", ["enable", "reset-fault"])
 @pytest.mark.parametrize("body", ["", "{}", '{"expires": 1}'])
 async def test_the_others_need_no_body(

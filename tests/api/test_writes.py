@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 from decimal import Decimal
-from typing import cast
+from typing import Any, cast
 
 import anyio
+import anyio.lowlevel
 import httpx2
 import pytest
 from starlette.requests import Request
@@ -64,6 +65,7 @@ async def test_a_value_arrives_exactly_as_it_was_written(
     assert type(value) is type(given)
 
 
+@pytest.mark.usefixtures("standing_clock")
 @pytest.mark.parametrize(
     ("written", "expires_s"),
     [('"2s"', 2.0), ('"500ms"', 0.5), ('"1.5 s"', 1.5), ("2", 2.0), ("0.25", 0.25), ("null", None)],
@@ -73,6 +75,28 @@ async def test_expiry_is_a_duration_or_seconds(
 ) -> None:
     await put(client, f'{{"value": 1, "expires": {written}, "verify": true}}')
     assert line.ops.asked == [("write", "feeder", FREQUENCY, 1, expires_s, True)]
+
+
+async def test_a_repeat_that_waited_for_the_first_request_expires_when_it_would_have(
+    client: httpx2.AsyncClient, line: Line
+) -> None:
+    line.ops.gate = anyio.Event()
+    line.ops.error = OperationError("the client is gone", kind="client-gone", remedy="")
+    answers: list[int] = []
+
+    async def ask() -> None:
+        body = '{"value": 1, "expires": "60s"}'
+        answers.append((await put(client, body, key="a")).status_code)
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(ask)
+        await line.ops.begun.wait()
+        tasks.start_soon(ask)
+        await anyio.sleep(0.2)
+        line.ops.gate.set()
+    assert answers == [408, 408], "the first was not sent, so the second takes its place"
+    left: list[Any] = [one[4] for one in line.ops.asked]
+    assert left[0] - left[1] >= 0.15
 
 
 async def test_a_write_may_say_that_it_has_time(client: httpx2.AsyncClient, line: Line) -> None:

@@ -46,3 +46,9 @@ def short_dir() -> Iterator[Path]:
 @pytest.fixture
 def anyio_backend() -> str:
     return "asyncio"
+
+
+@pytest.fixture
+def standing_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No time passes between a request and what it asks for."""
+    monkeypatch.setattr("lecombus.api.idempotency.current_time", lambda: 5.0)

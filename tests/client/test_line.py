@@ -76,6 +76,7 @@ async def test_drives_groups_line_and_why(line: Line) -> None:
     assert why.document["history"][0]["number"] == 50
 
 
+@pytest.mark.usefixtures("standing_clock")
 @pytest.mark.parametrize("outcome", list(Ended))
 async def test_every_outcome_arrives_as_itself(
     line: Line, fake: api_line.Line, outcome: Ended

@@ -35,6 +35,7 @@ from hashlib import sha256
 from typing import Final
 
 import anyio
+from anyio import current_time
 from starlette.requests import Request
 from starlette.responses import Response
 
@@ -57,7 +58,7 @@ __all__ = [
     "SharedStops",
     "key_mistake",
     "keys_of",
-    "time_left_s",
+    "time_left",
 ]
 
 KEY_LIMIT: Final = 1000
@@ -338,9 +339,16 @@ def asked_ago_s(request: Request) -> float:
     )
 
 
-def time_left_s(request: Request, expires_s: float | None) -> float | None:
-    """Return how long a request may still wait, seconds; its time began when it was asked first."""
-    return None if expires_s is None else expires_s - asked_ago_s(request)
+def time_left(request: Request, expires_s: float | None) -> Callable[[], float | None]:
+    """Return what says how long a request that has come whole just now may still wait, seconds.
+
+    Its time began when it was asked first. It goes on while the request waits for the first one
+    with its key, and for what is read to judge it.
+    """
+    if expires_s is None:
+        return lambda: None
+    until_s = current_time() + expires_s - asked_ago_s(request)
+    return lambda: until_s - current_time()
 
 
 def content_of(request: Request, body: bytes) -> bytes:

@@ -29,7 +29,7 @@ from lecombus.api.answers import (
     roster_problem,
 )
 from lecombus.api.decimal_json import short
-from lecombus.api.idempotency import Idempotency, SharedStops, key_mistake, keys_of, time_left_s
+from lecombus.api.idempotency import Idempotency, SharedStops, key_mistake, keys_of, time_left
 from lecombus.api.limits import STOP_PATH, is_stop
 from lecombus.api.refusals import AskedWrite, Refusals
 from lecombus.api.request_checks import code_of, read_body, read_stop, refuse_query
@@ -101,13 +101,14 @@ class WriteRoutes:
         refuse_query(request)
         drive, code = request.path_params["drive"], code_of(request)
         body, raw = await read_body(request, DriveWriteBody)
+        left_s = time_left(request, body.expires_s)
 
         async def act() -> Response:
             report = await self._ops.write(
                 drive,
                 code,
                 body.value,
-                expires_s=time_left_s(request, body.expires_s),
+                expires_s=left_s(),
                 verify=bool(body.verify),
                 urgency=None if body.priority is None else body.priority.priority,
                 restoring=bool(body.restore),
@@ -123,13 +124,14 @@ class WriteRoutes:
         refuse_query(request)
         group, code = request.path_params["group"], code_of(request)
         body, raw = await read_body(request, WriteBody)
+        left_s = time_left(request, body.expires_s)
 
         async def act() -> Response:
             report = await self._ops.write_group(
                 group,
                 code,
                 body.value,
-                expires_s=time_left_s(request, body.expires_s),
+                expires_s=left_s(),
                 verify=body.verify,
             )
             return report_response(report)
@@ -147,21 +149,18 @@ class WriteRoutes:
         drive, verb = request.path_params["drive"], verb_of(request.path_params["verb"])
         refuse_query(request)
         body, raw = await read_body(request, BODIES[verb], may_be_empty=True)
+        left_s = time_left(request, body.expires_s)
 
         async def act() -> Response:
             if not isinstance(body, SpeedBody):
-                return report_response(
-                    await self._ops.verb(
-                        drive, verb, expires_s=time_left_s(request, body.expires_s)
-                    )
-                )
+                return report_response(await self._ops.verb(drive, verb, expires_s=left_s()))
             unit = body.unit.strip()
             report = await self._ops.verb(
                 drive,
                 verb,
                 value=Decimal(body.value),
                 unit="Hz" if unit.lower() == "hz" else unit,
-                expires_s=time_left_s(request, body.expires_s),
+                expires_s=left_s(),
                 verify=bool(body.verify),
             )
             return report_response(report)
