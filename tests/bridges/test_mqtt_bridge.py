@@ -84,6 +84,17 @@ def test_events_count_as_had_when_they_were_sent_or_are_on_the_disk(tmp_path: Pa
     run(script())
 
 
+@pytest.mark.parametrize(
+    ("kept", "read"),
+    [(b"a1b2-77\n", "a1b2-77"), (b"", ""), (b"\0" * 12, ""), (b"a-1\nb-2\n", ""),
+     ("a-\u20ac".encode(), ""), (b"\xff\xfe", "")],
+)  # fmt: skip
+def test_a_place_that_was_spoiled_is_not_asked_for(tmp_path: Path, kept: bytes, read: str) -> None:
+    """It becomes a header of a request, which was refused for as long as the file was there."""
+    (tmp_path / "last-event").write_bytes(kept)
+    assert Place(tmp_path / "last-event").read() == read
+
+
 @pytest.mark.real
 def test_a_disk_that_stalls_does_not_hold_up_the_bridge(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -11,6 +11,7 @@ if it cannot, the broker does.
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -64,6 +65,9 @@ STEADY_S: Final = 10.0
 """After a connection that held for so long the next attempt is soon."""
 
 END_WITHIN_S: Final = 3.0
+
+ID: Final = re.compile(r"[!-~]{1,100}")
+"""Of an event."""
 
 SENT_EVENTS: Final = frozenset(("state", "remark", "trip", "write", "lease", "line", "gap"))
 
@@ -451,7 +455,9 @@ class Place:
         """Return the id of the last event of an earlier run; empty: there is none."""
         if self._file is not None:
             with suppress(OSError, ValueError):
-                self.last_id = self._written = self._file.read_text().strip()
+                found = self._file.read_text().strip()
+                if ID.fullmatch(found):  # zeros after a power cut would go into a header
+                    self.last_id = self._written = found
         return self.last_id
 
     def write(self) -> None:
