@@ -327,6 +327,23 @@ def test_tls_certificate_password_and_limits_of_a_real_broker(tmp_path: Path) ->
         gc.collect()
 
 
+def test_what_the_broker_does_not_let_the_bridge_send_is_said_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "acl").write_text("topic readwrite test/may/#\n")
+
+    async def send(entry: MqttEntry) -> list[bool]:
+        async with open_broker(entry, "test", None, WillLimits(), lambda incoming: None) as found:
+            topics = ("test/may/a", "test/must-not/a", "test/must-not/b", "test/may/b")
+            return [await found.publish(Message(topic, b"x", 1)) for topic in topics]
+
+    with broker(tmp_path, more=f"acl_file {tmp_path / 'acl'}") as message_broker:
+        entry = MqttEntry(host="127.0.0.1", port=message_broker.port, tls=False)
+        assert anyio.run(send, entry) == [True, False, False, True]
+    said = [record.getMessage() for record in caplog.records]
+    assert said == ["event=mqtt-refused topic=test/must-not/a reason=Not authorized"]
+
+
 async def connected(entry: MqttEntry) -> tuple[Limits, list[bool]]:
     """Connect, and send a small and a large message."""
     will = Message("test/will", b"gone", 1)

@@ -24,6 +24,7 @@ import aiomqtt
 import anyio
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from lecombus.bridges.mqtt.retained import Message
@@ -46,6 +47,9 @@ INCOMING_BYTES: Final = 64 * 1024
 """Receive maximum and packet size that the bridge asks of the broker."""
 
 PROPERTY_CHARS: Final = 1000
+
+FAILURES: Final = 128
+"""Reason codes from here on say that something was not done."""
 
 RETAIN_NOT_SUPPORTED: Final = 154
 QOS_NOT_SUPPORTED: Final = 155
@@ -203,14 +207,14 @@ class BridgeClient(aiomqtt.Client):
         super()._on_publish(client, userdata, mid, reason_code, properties)
 
     async def publish_for_reason(
-        self, topic: str, payload: bytes, qos: int, properties: Properties
+        self, topic: str, payload: bytes, qos: int, retain: bool, properties: Properties
     ) -> int:
         """Send a message with QoS 1 or 2; returns the reason code that acknowledges it.
 
         Raises:
             MqttError: The connection is lost, or it is not acknowledged in time.
         """
-        sent = self._client.publish(topic, payload, qos, False, properties)
+        sent = self._client.publish(topic, payload, qos, retain, properties)
         if sent.rc != 0:
             raise aiomqtt.MqttCodeError(sent.rc, "Could not publish message")
         waiting = self._acknowledged[sent.mid] = asyncio.get_running_loop().create_future()
@@ -237,12 +241,13 @@ class Broker:
         self.limits = limits
         self._under_way = anyio.CapacityLimiter(min(AT_ONCE_MOST, limits.receive_maximum))
         self._too_big: set[str] = set()
+        self._refused: set[int] = set()
 
     async def publish(self, message: Message) -> bool:
         """Send a message, and wait until the broker has it (at QoS 0: until it is on its way).
 
         Returns:
-            Whether it was sent; False: it is larger than the broker takes.
+            Whether it was sent; False: it is larger than the broker takes, or refused.
 
         Raises:
             BrokerError: The connection is lost.
@@ -257,12 +262,22 @@ class Broker:
                 await self._client.publish(message.topic, message.payload, 0, retain, properties)
             else:
                 async with self._under_way:
-                    await self._client.publish(
+                    code = await self._client.publish_for_reason(
                         message.topic, message.payload, qos, retain, properties
                     )
+                if code >= FAILURES:
+                    self._say_refused(message.topic, code)
+                    return False
         except (aiomqtt.MqttError, ValueError) as exc:
             raise BrokerError(str(exc)) from exc
         return True
+
+    def _say_refused(self, topic: str, code: int) -> None:
+        """Log that the broker took a message and dropped it, once for each reason."""
+        if code not in self._refused:
+            self._refused.add(code)
+            reason = ReasonCode(PacketTypes.PUBACK, identifier=code)
+            logger.warning("event=mqtt-refused topic=%s reason=%s", topic, reason)
 
     async def publish_for_reason(self, message: Message) -> int:
         """Send a message that is acknowledged; returns MQTT's reason code, 0 if there is none.
@@ -276,7 +291,7 @@ class Broker:
         try:
             async with self._under_way:
                 return await self._client.publish_for_reason(
-                    message.topic, message.payload, 1, properties_of(message)
+                    message.topic, message.payload, 1, False, properties_of(message)
                 )
         except (aiomqtt.MqttError, ValueError) as exc:
             raise BrokerError(str(exc)) from exc
