@@ -48,7 +48,7 @@ def serve_stub(path: Path) -> Iterator[DaemonStub]:
             self.end_headers()
             self.wfile.write(text.encode())
 
-        do_GET = do_PUT = do_POST = answer  # noqa: N815
+        do_GET = do_PUT = do_POST = do_DELETE = answer  # noqa: N815
 
         def address_string(self) -> str:
             return "cli"

@@ -96,3 +96,17 @@ def test_a_command_ends_with_its_lease_also_one_that_ignores_signals(
         thread.join()
     with pytest.raises(ProcessLookupError):
         os.kill(int(up.read_text()), 0)
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(("script", "status"), [("exit 7", 7), ("kill -9 $$", 137)])
+def test_the_status_is_that_of_the_command_as_a_shell_would_say_it(
+    short_dir: Path, script: str, status: int
+) -> None:
+    with serve_stub(short_dir / "s") as stub:
+        stub.answers["GET /v1/groups"] = (200, '{"groups": []}')
+        stub.answers["PUT /v1/leases/service"] = (200, json.dumps(GRANTED))
+        stub.answers["DELETE /v1/leases/service"] = (200, "{}")
+        daemon = DaemonOptions(str(short_dir / "s"), None, as_json=False)
+        asked = ("service", ["feeder"], 1.0, "")
+        assert anyio.run(hold, daemon, asked, ["sh", "-c", script]) == status

@@ -34,6 +34,9 @@ ENDS: Final = (signal.SIGTERM, signal.SIGHUP, signal.SIGKILL)
 
 END_WITHIN_S: Final = 2.0
 
+SIGNALLED: Final = 128
+"""A shell adds to this the number of the signal that ended a command."""
+
 
 @click.command("leases")
 @daemon_options
@@ -125,7 +128,8 @@ async def hold(
                     command, env=variables, stdin=None, stdout=None, stderr=None
                 )
                 try:
-                    return await program.wait()
+                    status = await program.wait()
+                    return status if status >= 0 else SIGNALLED - status
                 finally:
                     await end(program)
 
