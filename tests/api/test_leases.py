@@ -71,6 +71,11 @@ async def test_it_is_taken_over_by_name(client: httpx2.AsyncClient) -> None:
     assert kind(await put(client, token=first["token"], counter=9)) == "lease-lost"
 
 
+async def test_a_name_that_is_none_is_named(client: httpx2.AsyncClient) -> None:
+    answer = await client.put("/v1/leases/a%20b", json=TAKE)
+    assert (answer.status_code, answer.json()["detail"]) == (422, "'a b' is no name of a lease")
+
+
 @pytest.mark.parametrize(
     "document",
     [

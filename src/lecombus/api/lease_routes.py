@@ -14,6 +14,7 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from lecombus.api.answers import ProblemDocument, RefusedRequestError, json_response
+from lecombus.api.decimal_json import short
 from lecombus.api.limits import LEASES_PATH
 from lecombus.api.request_checks import read_body, refuse_query
 from lecombus.api.request_models import NAME, LeaseBody
@@ -121,7 +122,7 @@ def lease_name(request: Request) -> str:
     """
     name: str = request.path_params["lease"]
     if NAME.fullmatch(name) is None:
-        raise refused("this is no name of a lease", NAME_REMEDY)
+        raise refused(f"{short(name)!r} is no name of a lease", NAME_REMEDY)
     return name
 
 
