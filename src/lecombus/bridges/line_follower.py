@@ -58,8 +58,7 @@ AWAY_AFTER_S: Final = 5.0
 LOOK_EVERY_S: Final = 1.0
 
 PERIODS_EVERY_S: Final = 60.0
-"""How often it is asked how often codes are read, and who controls what: a reload may change both,
-of which there is no event."""
+"""How often periods and leases are asked for: a reload changes both without an event."""
 
 PAGE_AGE_S: Final = 0.1
 """Ages in `/v1/drives` may be too small by this."""
@@ -69,9 +68,6 @@ CLOCKS_DIFFER_S: Final = 0.25
 
 FIRST_PAUSE_S: Final = 0.1
 LONGEST_PAUSE_S: Final = 5.0
-
-LEASE: Final = "lease"
-"""A kind of events, and what a remark on a drive is about."""
 
 UNKNOWN: Final = "unknown"
 NOT_ASKED: Final = "not asked yet"
@@ -207,8 +203,7 @@ class LineFollower:
     @property
     def stretch(self) -> float:
         """By how much the periods are longer by plan than the roster says, 1 or more."""
-        line = {} if self.line is None else self.line.document
-        return float(line.get("planned_stretch") or 1)
+        return float((self.line.document if self.line else {}).get("planned_stretch") or 1)
 
     def period_s(self, drive: str, code: str) -> float | None:
         """Return how often a code is read, seconds; None: not cyclically, or not known."""
@@ -296,9 +291,9 @@ class LineFollower:
     def _take_event(self, event: Event) -> None:
         """Take an event into the picture, then give it to the listeners."""
         now_s, data = anyio.current_time(), event.data
-        if event.kind == LEASE or (event.kind == "remark" and data.get("subject") == LEASE):
+        if event.kind == "lease" or (event.kind == "remark" and data.get("subject") == "lease"):
             self._leases_due = True
-        if event.kind == LEASE:
+        if event.kind == "lease":
             self._take_silence(data)
         elif event.kind == "line":
             self._line_heard_s = now_s
@@ -449,7 +444,7 @@ class LineFollower:
             self._give("trip", drive.name, data)
         remarks = {str(key): str(text) for key, text in (document.get("remarks") or {}).items()}
         before, drive.remarks = drive.remarks, remarks
-        if before.get(LEASE) != remarks.get(LEASE):
+        if before.get("lease") != remarks.get("lease"):
             self._leases_due = True
         for subject in {**before, **remarks}:
             text = remarks.get(subject)

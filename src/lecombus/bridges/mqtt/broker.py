@@ -48,9 +48,7 @@ INCOMING_BYTES: Final = 64 * 1024
 
 PROPERTY_CHARS: Final = 1000
 
-FAILURES: Final = 128
-"""Reason codes from here on say that something was not done."""
-
+FAILURES: Final = 128  # and above: something was not done
 RETAIN_NOT_SUPPORTED: Final = 154
 QOS_NOT_SUPPORTED: Final = 155
 REFUSALS: Final = frozenset((4, 5, 134, 135, 138, 140))
@@ -129,8 +127,7 @@ class Incoming:
         payload: What it says.
         qos: With which quality of service it was delivered.
         is_retained: Whether it was sent to stand at the broker.
-        came_s: When it came, by `anyio.current_time`. `Commands` sets it to when it may have been
-            sent by the broker, by its `Pulse`.
+        came_s: When it came, by `anyio.current_time`; in `Commands`: was sent, by its `Pulse`.
         expiry_s: How long it may still wait; None: it does not say.
         response_topic: Where its sender waits for an answer; empty: nowhere.
         correlation: By which the sender knows the answer; None: it gives none.
@@ -254,20 +251,15 @@ class Broker:
         """
         if self._is_too_big(message):
             return False
-        qos = min(message.qos, self.limits.qos)
+        if message.qos and self.limits.qos:
+            if (code := await self.publish_for_reason(message)) >= FAILURES:
+                self._say_refused(message.topic, code)
+            return code < FAILURES
         retain = message.is_retained and self.limits.retain
-        properties = properties_of(message)
         try:
-            if qos == 0:
-                await self._client.publish(message.topic, message.payload, 0, retain, properties)
-            else:
-                async with self._under_way:
-                    code = await self._client.publish_for_reason(
-                        message.topic, message.payload, qos, retain, properties
-                    )
-                if code >= FAILURES:
-                    self._say_refused(message.topic, code)
-                    return False
+            await self._client.publish(
+                message.topic, message.payload, 0, retain, properties_of(message)
+            )
         except (aiomqtt.MqttError, ValueError) as exc:
             raise BrokerError(str(exc)) from exc
         return True
@@ -288,10 +280,11 @@ class Broker:
         if not self.limits.qos:
             await self.publish(message)
             return 0
+        qos, retain = min(message.qos, self.limits.qos), message.is_retained and self.limits.retain
         try:
             async with self._under_way:
                 return await self._client.publish_for_reason(
-                    message.topic, message.payload, 1, False, properties_of(message)
+                    message.topic, message.payload, qos, retain, properties_of(message)
                 )
         except (aiomqtt.MqttError, ValueError) as exc:
             raise BrokerError(str(exc)) from exc
