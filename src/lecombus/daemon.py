@@ -23,7 +23,7 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import AsyncIterator, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -62,6 +62,7 @@ from lecombus.supervision.journal_record import JournalRecord
 __all__ = ["SIM_URL", "Daemon", "Notifier", "opener_for", "plain_errors", "run"]
 
 logger = logging.getLogger(__name__)
+Signals = AsyncIterator[signal.Signals]
 
 SWITCH_INTERVAL_S = 0.001
 """How long a thread (reloading a roster) may hold the interpreter while the line wants it."""
@@ -72,13 +73,9 @@ SHUTDOWN_STOP_S = 8.0
 TICK_S = 1.0
 
 TOKENS = "tokens"
-"""The key of the remark that the file of tokens is not used."""
-
 CERTIFICATE = "certificate"
-"""The key of the remark that a certificate soon expires."""
-
 RELOAD = "reload"
-"""The key of the remark that a reload was refused."""
+"""Keys of remarks: the file of tokens is not used, a certificate expires, a reload was refused."""
 
 
 def run(path: Path, *, log_format: str = "logfmt") -> int:
@@ -98,8 +95,15 @@ def run(path: Path, *, log_format: str = "logfmt") -> int:
     roster = load_roster(path)
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     with plain_errors():
-        run_loop(Daemon(roster, path).main)
+        run_loop(to_the_end, Daemon(roster, path))
     return 0
+
+
+async def to_the_end(daemon: Daemon) -> None:
+    """Run a daemon; when all is closed, no signal changes how the process ends."""
+    await daemon.main()
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
 
 
 @contextlib.contextmanager
@@ -128,12 +132,8 @@ def first_error(error: BaseException) -> BaseException:
 def tell_goodbye(action: StopAction, report: GroupReport) -> None:
     """Log the result of `on_shutdown`; a drive that may still run must be checked by a person."""
     doubtful = ",".join(one.drive for one in report.members if not one.outcome.is_good)
-    if not doubtful:
-        logger.info("event=shutdown-stop action=%s outcome=%s", action, report.outcome)
-        return
-    logger.error(
-        "event=shutdown-stop action=%s outcome=%s not-stopped=%s", action, report.outcome, doubtful
-    )
+    level, more = (logging.ERROR, f" not-stopped={doubtful}") if doubtful else (logging.INFO, "")
+    logger.log(level, "event=shutdown-stop action=%s outcome=%s%s", action, report.outcome, more)
 
 
 class Daemon:
@@ -162,12 +162,20 @@ class Daemon:
         self.runtime: LineRuntime | None = None
 
     async def main(self) -> None:
-        """Run until a signal or an error ends it."""
+        """Run until a signal or an error ends it; further signals do not cut the end short."""
+        with anyio.open_signal_receiver(signal.SIGTERM, signal.SIGINT, signal.SIGHUP) as signals:
+            await self._main(signals)
+        logger.info("event=stopped line=%s", self._roster.line.name)
+
+    async def _main(self, signals: Signals) -> None:
+        """Run between the opening and the closing of what is kept."""
         file = self._roster.state
         keeping = await Keeping.opened(None if file is None else Path(file))
-        journal = await self._open_journal()
+        entry, journal = self._roster.journal, None
+        if entry is not None:
+            journal = await Journal.opened(Path(entry.file), entry.max_size, time.time)
         try:
-            await self._run(keeping, journal)
+            await self._run(keeping, journal, signals)
         except BaseException as exc:  # of any kind: the journal says what ended the daemon
             error = first_error(exc)
             self._ended_by = f"{type(error).__name__}: {error}"
@@ -181,15 +189,8 @@ class Daemon:
                     if self._record is not None:
                         self._record.ended_run(self._ended_by)
                     await journal.close()
-        logger.info("event=stopped line=%s", self._roster.line.name)
 
-    async def _open_journal(self) -> Journal | None:
-        entry = self._roster.journal
-        if entry is None:
-            return None
-        return await Journal.opened(Path(entry.file), entry.max_size, time.time)
-
-    async def _run(self, keeping: Keeping, journal: Journal | None) -> None:
+    async def _run(self, keeping: Keeping, journal: Journal | None, signals: Signals) -> None:
         """Run the line and its faces."""
         clock = anyio.current_time
         runtime = self.runtime = LineRuntime(
@@ -209,7 +210,7 @@ class Daemon:
                 logger.warning("event=keys-not-kept reason=%s", exc)
         async with anyio.create_task_group() as line:
             async with anyio.create_task_group() as faces:
-                faces.start_soon(self._watch_signals, faces)
+                faces.start_soon(self._watch_signals, faces, signals)
                 await self._serve(faces, runtime, journal)
                 gc.freeze()  # what lives by now lives to the end
                 gc.enable()
@@ -299,13 +300,12 @@ class Daemon:
 
     # ---- signals and the service manager ----------------------------------------------------
 
-    async def _watch_signals(self, faces: anyio.abc.TaskGroup) -> None:
-        with anyio.open_signal_receiver(signal.SIGTERM, signal.SIGINT, signal.SIGHUP) as signals:
-            async for number in signals:
-                if number == signal.SIGHUP:
-                    faces.start_soon(self._reload_by_signal)
-                else:
-                    self.end(signal.Signals(number).name)
+    async def _watch_signals(self, faces: anyio.abc.TaskGroup, signals: Signals) -> None:
+        async for number in signals:
+            if number == signal.SIGHUP:
+                faces.start_soon(self._reload_by_signal)
+            elif not self._end.is_set():
+                self.end(signal.Signals(number).name)
 
     async def _reload_by_signal(self) -> None:
         with contextlib.suppress(LecombusError):  # what is wrong stands in the log

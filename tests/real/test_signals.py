@@ -8,6 +8,8 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
+from itertools import cycle
 from pathlib import Path
 
 import anyio
@@ -17,6 +19,8 @@ import pytest
 from lecombus import daemon as daemon_module
 from lecombus import line_runtime
 from lecombus.fieldbus.lecom.simulator import PtyEnd
+from lecombus.journal.journal_file import JournalFile
+from lecombus.journal.reading import rows_after
 from lecombus.line.worker import LineWorker
 from support.daemon_host import FIVE, Daemon, running, short_dir, sim_line, until
 from support.rosters import Wanted, make_roster, roster_text
@@ -164,6 +168,27 @@ def inhibited(end: PtyEnd, name: str) -> bool:
     """Whether bit 9 of the control word is set: controller inhibit."""
     with end.lock:
         return bool(int(end.line[name].text(135)[1:], 16) & 1 << 9)
+
+
+def test_signals_while_it_ends_do_not_cut_the_end_short() -> None:
+    """Such as a second Ctrl-C, or the SIGHUP of a terminal that is closed."""
+    with short_dir() as folder:
+        journal = folder / "journal.sqlite"
+        text = roster_text(FIVE, folder=folder, sections=f"journal: {journal}")
+        with running(text, folder) as daemon:
+            until(lambda: daemon.client.get("/readyz").status_code == 200, "ready")
+            daemon.process.send_signal(signal.SIGINT)
+            for number in cycle((signal.SIGHUP, signal.SIGTERM)):
+                time.sleep(0.02)
+                if daemon.process.poll() is not None:
+                    break
+                daemon.process.send_signal(number)
+            assert daemon.process.returncode == 0, daemon.log()
+        file = JournalFile(journal, 16_000_000)
+        file.open(0)
+        rows, _ = file.ask(partial(rows_after, after=0, since_ms=0, drives=[], most=500))
+        file.close()
+        assert (rows[-1].kind, rows[-1].whole()) == ("end", {"reason": "SIGINT"})
 
 
 def test_requests_under_way_at_sigterm_all_get_an_answer() -> None:
