@@ -82,6 +82,7 @@ def test_what_is_known_stands_at_the_broker_for_as_long_as_it_is_fresh() -> None
         assert value.said["unit"] == "Hz"
         assert value.said["quality"] == "good"
         assert 1 <= (value.expiry_s or 0) <= 5  # read every 2 s: stale after 5 s
+        until(lambda: "C0050" in (client.text(f"{ROOT}/feeder/json") or ""), "the document")
         document = json.loads(client.text(f"{ROOT}/feeder/json") or "")
         assert document["values"]["C0050"]["quality"] == "good"
         assert document["values"]["C0050"]["age_s"] < 5
