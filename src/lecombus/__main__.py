@@ -32,6 +32,7 @@ def main() -> int:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     if os.environ.pop(HELD_BACK, ""):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    _open_streams()
     _take_name()
     from lecombus.cli import main as command
 
@@ -42,6 +43,16 @@ def main() -> int:
     finally:
         if listens:
             signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def _open_streams() -> None:
+    """Put /dev/null where a stream was closed: else the port may get its number, and be written to.
+
+    The first free number is that of the closed stream, which are opened in their order.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: PTH123, SIM115
 
 
 def _take_name() -> None:

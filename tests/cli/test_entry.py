@@ -392,6 +392,32 @@ def test_the_command_is_started_with_the_python_beside_it_and_its_own_name(launc
     assert named.stdout.strip() == "lecombus"
 
 
+@pytest.mark.parametrize(
+    ("closed", "numbers"),
+    [("<&-", [0]), (">&-", [1]), ("2>&-", [2]), ("<&- >&- 2>&-", [0, 1, 2])],
+)
+def test_a_stream_that_is_closed_ends_nothing_and_its_number_is_taken(
+    launcher: Path, tmp_path: Path, closed: str, numbers: list[int]
+) -> None:
+    """Else the port could get the number of standard error, and what is written there."""
+    said = tmp_path / "said"
+    words = (
+        "import os; from lecombus.__main__ import _open_streams; _open_streams(); "
+        f"leads = [os.readlink(f'/proc/self/fd/{{n}}') for n in {numbers}]; "
+        f"open({str(said)!r}, 'w').write(' '.join(leads))"
+    )
+    for command in (
+        [sys.executable, "-c", words],
+        [str(launcher), "describe", "8200vector", "C0046"],
+    ):
+        done = subprocess.run(
+            ["sh", "-c", f"{shlex.join(command)} {closed}"],
+            capture_output=True, stdin=subprocess.PIPE, timeout=30, check=False,
+        )  # fmt: skip
+        assert (done.returncode, done.stderr) == (0, b"")
+    assert said.read_text().split() == ["/dev/null"] * len(numbers)
+
+
 def test_asking_for_help_imports_nothing_heavy() -> None:
     heavy = ("starlette", "uvicorn", "pydantic", "rich", "httpx2", "serial")
     script = (
