@@ -6,6 +6,7 @@ import json
 from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from datetime import UTC, datetime
+from decimal import Decimal
 from types import SimpleNamespace
 from typing import Any
 
@@ -313,6 +314,18 @@ def test_an_event_that_waited_on_its_way_is_as_old_as_it_is() -> None:
         assert not seen.good("C0052")
 
     follow(script)
+
+
+def test_a_value_is_not_taken_before_it_is_known_how_often_it_is_read() -> None:
+    async def script() -> None:
+        daemon = Daemon()
+        seen = Followed(daemon)
+        event = Event("R-1", "value", "feeder", {**daemon.value(), "value": Decimal("35.4")})
+        seen.follower._take_event(event)
+        assert seen.follower.value("feeder", "C0050") is None
+        assert seen.kinds() == []
+
+    run(script())
 
 
 def test_a_stretched_line_keeps_values_good_for_longer() -> None:

@@ -155,6 +155,14 @@ def test_a_value_is_sent_when_it_changes_and_before_it_expires_and_not_else() ->
     assert plain() == []
 
 
+def test_a_value_that_is_good_for_less_than_what_stands_says_is_sent_again() -> None:
+    """As after a reload that has it read more often: the broker would keep it for too long."""
+    board = Board()
+    sent(board, drive(C0050=value(10)), 100)
+    assert "value/C0050" in dict(sent(board, drive(C0050=value(5)), 100))
+    assert dict(sent(board, drive(C0050=value(4.5)), 100)) == {}
+
+
 def test_a_drive_that_is_gone_is_removed_and_no_other() -> None:
     board = Board()
     sent(board, drive(C0050=value(5)), 100)

@@ -329,8 +329,8 @@ class LineFollower:
         if drive is None:
             drive = self.drives[event.drive] = FollowedDrive(event.drive)
             self._periods_due_s = -inf
-        if event.kind == "value":
-            return self._take_value(drive, event.reading, now_s)
+        if event.kind == "value":  # before the first look it is not known how long it is good
+            return self.is_connected and self._take_value(drive, event.reading, now_s)
         drive.heard_s = now_s
         if event.kind == "state":
             said = (str(data["state"]), str(data.get("reason") or ""), states_of(data))

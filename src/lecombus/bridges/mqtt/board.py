@@ -26,6 +26,9 @@ RENEW_PART: Final = 1 / 3
 GAIN_S: Final = 0.2
 """What is good for not much longer than what stands is not worth sending."""
 
+LOSS_S: Final = 1.0
+"""What stands for so much longer than it is good is sent again, as after a reload."""
+
 JSON_EVERY_S: Final = 1.0
 
 
@@ -82,4 +85,6 @@ def is_due(standing: Standing, message: Message, now_s: float) -> bool:
     """Whether a message is worth sending over one that stands."""
     if standing.mark != message.mark:
         return not message.content_type or now_s >= standing.sent_s + JSON_EVERY_S
+    if message.until_s < standing.until_s - LOSS_S:
+        return True
     return now_s >= standing.renew_s and message.until_s > standing.until_s + GAIN_S
