@@ -576,5 +576,26 @@ def test_a_full_disk_is_noticed_before_a_row_is_lost_and_has_room_for_stops(tmp_
     file.close()
 
 
+def test_a_later_page_looks_at_no_row_of_the_pages_before(file: JournalFile) -> None:
+    count = 4000
+    file.write([Row("trip", "a", {}, 1) for _ in range(count)], (), 1)
+    file.write([Row("trip", "a", {}, 10) for _ in range(20)], (), 1)
+    steps = 0
+
+    def step() -> bool:
+        nonlocal steps
+        steps += 1
+        return False
+
+    def page(db: apsw.Connection) -> list[int]:
+        db.set_progress_handler(step, 1)
+        found = reading.rows_after(db, after=count + 10, since_ms=5, drives=[], most=5)
+        db.set_progress_handler(None)
+        return [row.number for row in found[0]]
+
+    assert file.ask(page) == list(range(count + 11, count + 16))
+    assert steps < count
+
+
 def test_a_head_is_written_as_verify_takes_it() -> None:
     assert str(Head(17, bytes.fromhex("ab" * 32))) == "17:" + "ab" * 32

@@ -118,7 +118,9 @@ def rows_after(
         drives: Only rows of these drives or groups; empty: of any.
         most: How many.
     """
-    first = select(db, "SELECT min(id) FROM entries WHERE time >= ?1", (since_ms,))[0][0]
+    # Times can go back, so every row is looked at once; the next pages begin behind the one before.
+    later = "SELECT min(id) FROM entries WHERE id > ?1 AND time >= ?2"
+    first = select(db, later, (after, since_ms))[0][0]
     if first is None:
         return [], None
     after = max(after, first - 1)
