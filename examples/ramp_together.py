@@ -67,7 +67,7 @@ async def ramp_together(
                 (await drive.set_speed(0, "Hz")).check()  # it must not start at an old setpoint
             for drive in drives:
                 (await drive.enable()).check()
-            for step in range(1, round(speed_hz / STEP_HZ) + 1):
+            for step in range(1, math.ceil(speed_hz / STEP_HZ) + 1):
                 await set_all(drives, min(step * STEP_HZ, speed_hz))
                 await anyio.sleep(STEP_S)
             await anyio.sleep(hold_s)

@@ -49,7 +49,7 @@ async def react_to_trips(line: Line, say: Callable[[str], object] = print) -> No
             if event.kind == "gap":
                 missed = await tripped(line)
                 if missed:
-                    await stop_all(line, f"{', '.join(missed)} tripped meanwhile", say)
+                    await stop_all(line, f"{', '.join(missed)} tripped while events were lost", say)
             elif event.data.get("active"):
                 fault = event.data.get("fault") or {}
                 await stop_all(line, f"{event.drive} tripped: {fault.get('meaning')}", say)

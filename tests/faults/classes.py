@@ -90,7 +90,7 @@ _on_the_line("noise", "noise=0.1,request-noise=0.05")
 _on_the_line("wrong block check or parity", "bad-bcc=0.05,parity=0.05")
 _on_the_line("answers broken off", "half=0.1")
 _on_the_line("answers without end", "endless=0.02", may_fire=True)
-_on_the_line("writes refused", "nak=0.3", "the client is told; nothing is called done")
+_on_the_line("writes refused", "nak=0.3", "the client gets the refusal; nothing is called done")
 _on_the_line("telegrams damaged", "damaged=0.1")
 _on_the_line(
     "drives lose their supply", "power-cycle=0.01:1s",
@@ -371,7 +371,7 @@ def _leave(bench: Bench, seen: Seen) -> Injected:
     return "200 connections closed in the middle of a write"
 
 
-@fault("clients are slow", "client", "they disturb nobody else")
+@fault("clients are slow", "client", "they disturb no other client")
 def _slow(bench: Bench, seen: Seen) -> Injected:
     slow = [_connection(bench) for _ in range(20)]
     for place in range(40):
@@ -384,7 +384,7 @@ def _slow(bench: Bench, seen: Seen) -> Injected:
     return "20 clients, 4 bytes a second each, for 10 s"
 
 
-@fault("connections without a word", "client", "they disturb nobody else", may_cut=True)
+@fault("connections without a word", "client", "they disturb no other client", may_cut=True)
 def _mute(bench: Bench, seen: Seen) -> Injected:
     mute = []
     for _ in range(150):
