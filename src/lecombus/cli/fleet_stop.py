@@ -41,7 +41,7 @@ STOP_WITHIN_S: Final = 20.0
 @click.option("--target", default="all", show_default=True, help="A drive or a group of the line.")
 @click.option(
     "--action", type=click.Choice(["quick-stop", "inhibit"]), default="quick-stop",
-    show_default=True, help="quick-stop: down its ramp; inhibit: no torque at once, motors coast.",
+    show_default=True, help="quick-stop: down its ramp; inhibit: no torque, motors coast.",
 )  # fmt: skip
 @click.option(
     "--within", "within_s", type=DURATION, default=STOP_WITHIN_S,

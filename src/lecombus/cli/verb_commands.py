@@ -195,7 +195,7 @@ def inhibit_command(target: str, daemon: DaemonOptions) -> int:
     type=click.Choice(["quick-stop", "inhibit"]),
     default="quick-stop",
     show_default=True,
-    help="quick-stop: down its ramp; inhibit: no torque at once, the motor coasts.",
+    help="quick-stop: down its ramp; inhibit: no torque, the motor coasts.",
 )
 @daemon_options
 def stop_command(
