@@ -43,7 +43,9 @@ def serve_stub(path: Path) -> Iterator[DaemonStub]:
                 self.close_connection = True
                 return
             self.send_response(status)
-            self.send_header("content-type", "application/json")
+            is_stream = self.headers.get("accept") == "text/event-stream" and status == 200
+            kind = "text/event-stream" if is_stream else "application/json"
+            self.send_header("content-type", kind)
             self.send_header("content-length", str(len(text.encode())))
             self.end_headers()
             self.wfile.write(text.encode())
