@@ -55,7 +55,7 @@ def log_options(command: Function) -> Function:
 @roster_option
 @click.option("--map", "shows_map", is_flag=True,
               help="Print the registers of this roster, and end.")  # fmt: skip
-@click.option("--markdown", is_flag=True, help="With --map: the general table, as in the manual.")
+@click.option("--markdown", is_flag=True, help="With --map: the tables of docs/modbus.md.")
 @json_option
 @log_options
 def modbus_command(
