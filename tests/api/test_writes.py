@@ -68,7 +68,15 @@ async def test_a_value_arrives_exactly_as_it_was_written(
 @pytest.mark.usefixtures("standing_clock")
 @pytest.mark.parametrize(
     ("written", "expires_s"),
-    [('"2s"', 2.0), ('"500ms"', 0.5), ('"1.5 s"', 1.5), ("2", 2.0), ("0.25", 0.25), ("null", None)],
+    [
+        ('"2s"', 2.0),
+        ('"500ms"', 0.5),
+        ('"1.5 s"', 1.5),
+        ('"1h"', 3600.0),
+        ("2", 2.0),
+        ("0.25", 0.25),
+        ("null", None),
+    ],
 )
 async def test_expiry_is_a_duration_or_seconds(
     client: httpx2.AsyncClient, line: Line, written: str, expires_s: float | None

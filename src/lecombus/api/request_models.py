@@ -63,8 +63,8 @@ LEASE_TARGETS: Final = 100
 EXPONENT_LIMIT: Final = 30
 """A number such as 1E+999999 is a few bytes here and a megabyte once written out."""
 
-DURATION: Final = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*(ms|s|min)")
-UNIT_S: Final = {"ms": Decimal("0.001"), "s": Decimal(1), "min": Decimal(60)}
+DURATION: Final = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*(ms|s|min|h)")
+UNIT_S: Final = {"ms": Decimal("0.001"), "s": Decimal(1), "min": Decimal(60), "h": Decimal(3600)}
 
 RIGHT: Final[Mapping[str, str]] = {
     "value": 'a number such as 35.4 or a text such as "H0008"',
