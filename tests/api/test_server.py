@@ -336,6 +336,40 @@ async def test_a_client_that_goes_away_cuts_nothing(line: Line, tmp_path: Path) 
     assert len(line.ops.asked) == 1
 
 
+@pytest.mark.parametrize(
+    ("method", "path", "status", "kind", "outcome"),
+    [
+        ("PUT", SETPOINT, 504, "unknown", "unknown"),
+        ("GET", f"{SETPOINT}?fresh=true", 503, "line-closed", None),
+    ],
+)
+async def test_a_request_that_takes_longer_than_the_closing_is_answered_all_the_same(
+    line: Line, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture,
+    method: str, path: str, status: int, kind: str, outcome: str | None,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(server, "CLOSE_S", 0.2)
+    line.ops.gate = anyio.Event()  # stays closed
+    answers: list[httpx2.Response] = []
+
+    async def ask(http: httpx2.AsyncClient) -> None:
+        body = None if method == "GET" else {"value": 1}
+        answers.append(await http.request(method, path, json=body))
+
+    socket_path = tmp_path / "x.sock"
+    async with (
+        over_unix(socket_path) as http,
+        anyio.create_task_group() as tasks,
+        serving(line, socket_path),
+    ):
+        tasks.start_soon(ask, http)
+        await line.ops.begun.wait()
+    (answer,) = answers
+    assert (answer.status_code, answer.json()["outcome"]) == (status, outcome)
+    assert answer.json()["type"] == f"urn:lecombus:problem:{kind}"
+    assert "lecombus ended while this was under way" in answer.json()["detail"]
+    assert "Traceback" not in caplog.text
+
+
 async def test_closing_lets_a_request_under_way_end(line: Line, tmp_path: Path) -> None:
     line.ops.gate = gate = anyio.Event()
     answers: list[httpx2.Response] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 import os
@@ -233,6 +234,19 @@ def test_a_lost_port_ends_it_with_where_everybody_is(
     assert "belt\t12\tat 9600 or 19200 baud: a write ended" in ran.out
 
 
+def test_json_names_no_rate_of_a_drive_that_was_not_seen_since_a_write(
+    run: Run, roster: Path, line: RebaudLine
+) -> None:
+    def before(step: Step) -> None:
+        if isinstance(step, Write) and step.drive == "belt":
+            raise LineLostError("the port is gone", line="bench")
+
+    line.before = before
+    ran = run("rebaud", "19200", "-c", str(roster), "--yes", "--json")
+    places = [(one["place"], one["baud"]) for one in json.loads(ran.out)["drives"]]
+    assert places == [("new", 19200), ("written", None)]
+
+
 # ---- the port -----------------------------------------------------------------------------------
 
 
@@ -269,6 +283,17 @@ def test_a_port_lost_before_the_first_write_says_that_nothing_was_written(
     ran = run("rebaud", "19200", "-c", str(roster), "--yes")
     assert ran.status == 1
     assert "the port is gone; nothing was written" in ran.err
+
+
+def test_a_port_that_may_not_be_opened_is_a_matter_of_permission(
+    run: Run, roster: Path, line: RebaudLine
+) -> None:
+    def before(step: Step) -> None:
+        lost = LineLostError("no permission for the port", line="bench")
+        raise lost from PermissionError(errno.EACCES, "Permission denied")
+
+    line.before = before
+    assert run("rebaud", "19200", "-c", str(roster), "--dry-run").status == 4
 
 
 @pytest.mark.real

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import os
 import pty
+import resource
 import select
+import stat
 import subprocess
 import sys
 import threading
@@ -21,7 +23,7 @@ from cli.daemon_stub import DaemonStub
 from cli.test_simulate import simulated
 from lecombus.cli import scan
 from lecombus.cli.arguments import whole_path
-from lecombus.config import load_roster
+from lecombus.config import load_roster, parse_roster
 from lecombus.fieldbus.lecom.protocol.controls import bcc
 from support.golden import Golden
 from support.rosters import roster_text
@@ -220,6 +222,7 @@ def test_what_cannot_be_is_said(run: Run, words: list[str], status: int, golden:
 def test_a_file_is_overwritten_only_when_told_to(run: Run, tmp_path: Path) -> None:
     wanted = tmp_path / "kept.yaml"
     wanted.write_text("mine")
+    wanted.chmod(0o640)
     with drives(tmp_path, FEW) as port:
         words = ("scan", "--port", port, "--bauds", "19200", "--addresses", "13", "-o", str(wanted))
         ran = run(*words)
@@ -227,6 +230,31 @@ def test_a_file_is_overwritten_only_when_told_to(run: Run, tmp_path: Path) -> No
         assert "exists; name another file, or overwrite it with --force" in ran.err
         assert run(*words, "--force").status == 0
     assert load_roster(wanted).drives[0].address == 13
+    assert stat.S_IMODE(wanted.stat().st_mode) == 0o640
+
+
+def only_so_large() -> None:
+    """Let no file grow, as on a full disk; pipes are none."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (300, 300))
+
+
+def test_a_full_disk_spoils_no_roster_and_hides_nothing_that_was_found(tmp_path: Path) -> None:
+    old, other = tmp_path / "kept.yaml", tmp_path / "other.yaml"
+    old.write_text("mine")
+    with drives(tmp_path, FEW) as port:
+        scanned = ("scan", "--port", port, "--bauds", "19200", "--addresses", "12,13")
+        for wanted, more in ((old, ("--force", "--json")), (other, ())):
+            command = [sys.executable, "-m", "lecombus", *scanned, "-o", str(wanted), *more]
+            ran = subprocess.run(
+                command, capture_output=True, text=True, timeout=60, preexec_fn=only_so_large
+            )
+            assert ran.returncode == 1
+            assert f"{wanted}: file too large" in ran.stderr
+            roster = json.loads(ran.stdout)["roster"] if more else ran.stdout
+            assert [one.address for one in parse_roster(roster, "shown").drives] == [12, 13]
+    assert old.read_text() == "mine"
+    assert [one.name for one in tmp_path.glob(".*.new")] == []
+    assert not other.exists()
 
 
 # ---- through a daemon ---------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import replace
 from typing import Any, Final
@@ -10,13 +11,14 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Match, Route
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from lecombus.api.answers import ProblemDocument, problem_of
 from lecombus.api.decimal_json import short
 from lecombus.errors import LecombusError
 from lecombus.schedule import Outcome
 
-__all__ = ["ERROR_ANSWERS", "known_error", "unexpected_error"]
+__all__ = ["ERROR_ANSWERS", "answered_at_the_end", "known_error", "unexpected_error"]
 
 WRONG_REQUESTS: Final = frozenset((400, 401, 404, 405, 413, 414, 421, 422, 431))
 """Statuses of a request that is none: what it asks for cannot be written at all."""
@@ -77,6 +79,39 @@ async def unexpected_error(request: Request, exc: Exception) -> Response:
         outcome=Outcome.UNKNOWN.value if is_write(request) else "",
         remedy="this is a mistake in lecombus: please report it with the daemon's log",
     ).response()
+
+
+CUT_OFF: Final = "lecombus ended while this was under way"
+
+ENDED_QUESTION: Final = ProblemDocument("line-closed", CUT_OFF, remedy="ask again once it runs")
+ENDED_ACT: Final = ProblemDocument(
+    "unknown",
+    f"{CUT_OFF}: what was asked may have happened",
+    remedy="look at the drive before you ask for it again",
+    outcome=Outcome.UNKNOWN.value,
+)
+
+
+def answered_at_the_end(app: ASGIApp) -> ASGIApp:
+    """Answer each request that the server cancels because it closes and can wait no longer."""
+
+    async def answer(scope: Scope, receive: Receive, send: Send) -> None:
+        has_begun = False
+
+        async def send_noted(message: Message) -> None:
+            nonlocal has_begun
+            has_begun = True
+            await send(message)
+
+        try:
+            await app(scope, receive, send_noted)
+        except asyncio.CancelledError:
+            if has_begun:
+                raise
+            problem = ENDED_QUESTION if scope["method"] in ("GET", "HEAD") else ENDED_ACT
+            await problem.response()(scope, receive, send)
+
+    return answer
 
 
 def allowed_methods(request: Request) -> list[str]:

@@ -34,6 +34,7 @@ from starlette.types import ASGIApp
 from lecombus.api.access import OwnPagesAccess, ReadOnlyAccess
 from lecombus.api.answers import dated
 from lecombus.api.connection import CREDENTIALS, HttpConnection, StartQueue
+from lecombus.api.error_answers import answered_at_the_end
 from lecombus.api.limits import (
     ACCEPT_AT_ONCE,
     TCP_LIMIT,
@@ -258,7 +259,7 @@ def tcp_server(app: ASGIApp, host: str, places: ConnectionPlaces, doors: Doors) 
 def configuration(app: ASGIApp, kind: type[HttpConnection]) -> uvicorn.Config:
     """Return uvicorn's configuration; what lecombus does itself or does not offer is off."""
     return uvicorn.Config(
-        dated(app),
+        dated(answered_at_the_end(app)),
         log_config=None,
         log_level="error",  # a warning for each bad request: any client could fill the log
         access_log=False,

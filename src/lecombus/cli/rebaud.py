@@ -250,7 +250,8 @@ def _ask_drives(work: Rebaud, roster: Roster, *, quiet: bool) -> None:
     try:
         _carry(work, work.check, roster, Shown("asking drives", RebaudDrive.is_seen, quiet=quiet))
     except LecombusError as exc:
-        raise CommandError(Exit.FAILED, str(exc), "nothing was written") from exc
+        status = Exit.FORBIDDEN if isinstance(exc.__cause__, PermissionError) else Exit.FAILED
+        raise CommandError(status, str(exc), "nothing was written") from exc
     if work.line.interrupted:
         raise CommandError(Exit.INTERRUPTED, "interrupted", "nothing was written")
 
@@ -412,7 +413,8 @@ def _as_json(drive: RebaudDrive, work: Rebaud) -> dict[str, object]:
         "address": drive.subject.address,
         "family": drive.subject.family.name,
         "place": drive.place.value,
-        "baud": drive.rate,
+        # What it answered at before a write is not where it is.
+        "baud": None if drive.place is DrivePlace.WRITTEN else drive.rate,
         "shows": situation(drive, work),
         "why": drive.why or None,
         "motion": drive.motion or None,

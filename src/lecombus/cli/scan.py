@@ -18,11 +18,12 @@ import click
 
 from lecombus.cli.arguments import DaemonOptions, daemon_options, whole_path
 from lecombus.cli.daemon_access import work
-from lecombus.cli.exits import CommandError, Exit
+from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.own_line import OwnPort, own_port
 from lecombus.cli.screen import Bar, on_terminal, progress, show_rows
+from lecombus.cli.whole_file import write_whole
 from lecombus.client import Line, finding
-from lecombus.config import LineEntry, line_timing
+from lecombus.config import LineEntry, RosterError, line_timing
 from lecombus.config.building import STATE_DIR
 from lecombus.drives import family
 from lecombus.fieldbus.lecom.protocol.addressing import Form, is_drive_address
@@ -183,7 +184,11 @@ def _on_own_port(options: ScanOptions, line: LineEntry) -> int:
         line.name, line.port, line.parity, line.direction, _socket(line.name),
         _state(line.name, options.output),
     )  # fmt: skip
-    check_place(place)
+    try:
+        check_place(place)
+    except RosterError as exc:  # its places are those of a roster that the user does not see
+        wrong = (Problem(one.what, one.right) for one in exc.mistakes)
+        raise CommandError.of(Exit.USAGE, *wrong) from exc
     scan = Scan(ScanPlan(options.addresses, options.bauds, options.thorough))
     with _scan_bar() as bar:
         watch = _ScanProgress(scan, _look_s(line, options.bauds[0]), bar).watch
@@ -353,10 +358,17 @@ def _check_output(options: ScanOptions) -> None:
 
 
 def _give(options: ScanOptions, scan: Scan, text: str, line: dict[str, Any]) -> None:
-    """Print what was found, and write the roster."""
+    """Print what was found, and write the roster; one that cannot be written is printed.
+
+    Raises:
+        OSError: It could not be written; what was there is as it was.
+    """
+    failure: OSError | None = None
     if options.output is not None:
-        with options.output.open("w" if options.force else "x", encoding="utf-8") as file:
-            file.write(text)
+        try:
+            write_whole(options.output, text, may_replace=options.force)
+        except OSError as exc:
+            failure = exc
     if options.as_json:
         document = {
             **line,
@@ -365,19 +377,22 @@ def _give(options: ScanOptions, scan: Scan, text: str, line: dict[str, Any]) -> 
             "roster": text,
         }
         click.echo(json.dumps(document, ensure_ascii=False))
-        return
-    if options.output is None:
+    elif options.output is None or failure is not None:
         click.echo(text, nl=False)
-        return
+    else:
+        _show_found(scan, options.output)
+    if failure is not None:
+        raise failure
+
+
+def _show_found(scan: Scan, output: Path) -> None:
     rows = [
         (str(one.address), str(one.baud), one.family, _software(one), "; ".join(one.remarks))
         for one in sorted(scan.found, key=lambda one: one.address)
     ]
     show_rows(("address", "baud", "family", "says", "note"), rows)
     if on_terminal():
-        click.echo(
-            f"{options.output} is written: read it through, then lecombus check -c {options.output}"
-        )
+        click.echo(f"{output} is written: read it through, then lecombus check -c {output}")
 
 
 def _software(one: FoundDrive) -> str:
