@@ -218,6 +218,17 @@ def test_links_lead_somewhere(path: Path) -> None:
             assert anchor in anchors(file.read_text()), target
 
 
+@pytest.mark.parametrize("path", WRITTEN, ids=lambda path: str(path.relative_to(ROOT)))
+def test_every_row_of_a_table_has_the_cells_of_its_head(path: Path) -> None:
+    """What stands behind the last column of the head is not shown, nor is a row cut in two."""
+    outside = re.sub(r"^```.*?^```", "", path.read_text(), flags=re.MULTILINE | re.DOTALL)
+    for table in re.findall(r"(?:^\|.*\n)+.*", outside, re.MULTILINE):
+        *lines, behind = table.split("\n")
+        assert not behind, behind
+        counts = {line: len(re.findall(r"(?<!\\)\|", line)) for line in lines}
+        assert set(counts.values()) == {counts[lines[0]]}, counts
+
+
 @pytest.mark.parametrize("folder", [DOCS, DOCS / "adr"], ids=["docs", "adr"])
 def test_every_document_is_in_its_index(folder: Path) -> None:
     named = set(re.findall(r"\]\(([\w-]+\.md)", (folder / "README.md").read_text()))
