@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -125,7 +127,25 @@ def test_a_picture_that_cannot_be_written_says_so(
     roster: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["plan", "-c", str(roster), "--svg", str(tmp_path / "no" / "x.svg")]) == 2
-    assert "cannot be written: No such file or directory" in capsys.readouterr().err
+    assert "x.svg: no such file or directory" in capsys.readouterr().err
+
+
+def test_a_full_disk_spoils_no_drawing(
+    roster: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    file = tmp_path / "line.svg"
+    file.write_text("drawn before")
+
+    def full(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    assert main(["plan", "-c", str(roster), "--svg", str(file)]) == 1
+    assert f"{file}: no space left on device" in capsys.readouterr().err
+    assert file.read_text() == "drawn before"
 
 
 def test_a_roster_that_cannot_be_held_is_refused_with_its_places(

@@ -21,6 +21,7 @@ from lecombus.cli.arguments import DaemonOptions, daemon_options
 from lecombus.cli.daemon_access import ask
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.screen import counted, show_table
+from lecombus.cli.whole_file import write_whole
 from lecombus.client.documents import Answer
 from lecombus.config import DriveEntry, Roster, line_timing, load_roster
 from lecombus.durations import format_duration
@@ -124,10 +125,7 @@ def _draw(roster: Roster, shown: Preview, file: Path, read_from: Path | None) ->
         raise click.UsageError(f"{file} is the roster: draw into another file")
     names = tuple(drive.name for drive in roster.drives)
     title = f"line {roster.line.name}, {roster.line.baud} baud: who speaks when"
-    try:
-        file.write_text(picture(title, names, shown), encoding="utf-8")
-    except OSError as exc:
-        raise click.UsageError(f"{file} cannot be written: {exc.strerror}") from exc
+    write_whole(file, picture(title, names, shown), may_replace=True)
 
 
 def _show(plan: LinePlan, shown: Preview) -> None:

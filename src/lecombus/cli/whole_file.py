@@ -1,4 +1,4 @@
-"""Files of users that are written whole or not at all, such as the roster of a scan."""
+"""Files of users, written whole or not at all: the roster of a scan, the drawing of a plan."""
 
 from __future__ import annotations
 
