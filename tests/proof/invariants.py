@@ -63,7 +63,10 @@ class Invariants:
         self.outcomes: Counter[str] = Counter()
         self._site = site
         plan = make_promises(line.roster)
-        self.wire = Wire(sim, line.kind != "faulty", self.say, told_apart=line.is_told_apart)
+        self.wire = Wire(
+            sim, line.kind != "faulty", self.say,
+            told_apart=line.is_told_apart, may_cancel=line.may_cancel,
+        )  # fmt: skip
         self.promises = Promises(line, plan, sim, _not_judged if line.leased else self.say)
         self._now = asyncio.get_running_loop().time
         self.turns = Turns(line, plan, self._now, self.say)

@@ -132,6 +132,11 @@ class RandomLine:
         endless = "endless" in self.faults or any(one.fault == "endless" for one in self.storms)
         return "double" not in self.faults and not (endless and ":adapter" in self.faults)
 
+    @property
+    def may_cancel(self) -> bool:
+        """Whether noise and a wrong BCC may strike one answer: the BCC may be right again then."""
+        return "bad_bcc" in self.faults or any(one.fault == "bad_bcc" for one in self.storms)
+
     def __str__(self) -> str:
         line = self.roster.line
         return (

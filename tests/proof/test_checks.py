@@ -10,7 +10,7 @@ import pytest
 
 from proof.broken import BROKEN, broken
 from proof.lines import line_of
-from proof.wire import is_whole
+from proof.wire import differ_by_a_bit, is_whole
 from proof.world import Finding, run_line
 
 LENGTH_S = 60.0
@@ -76,6 +76,17 @@ def test_another_seed_is_another_line() -> None:
 )
 def test_an_answer_is_whole_or_not(heard: bytes, whole: bool) -> None:
     assert is_whole(heard) is whole
+
+
+@pytest.mark.parametrize(("said", "heard", "by_a_bit"), [
+    ("H8678", "H8778", True), ("H8678", "H8678", False), ("H8678", "H8779", False),
+    ("H8678", "H8978", False), ("H8678", "H867", False), ("0", "00", False), ("", "", False),
+])  # fmt: skip
+def test_noise_and_a_wrong_bcc_cancel_only_where_both_flip_one_bit(
+    said: str, heard: str, by_a_bit: bool
+) -> None:
+    """Seed 175231: the BCC's bit 0 was flipped, and that of a digit."""
+    assert differ_by_a_bit(said, heard) is by_a_bit
 
 
 def test_a_line_whose_watchdogs_check_refuses_by_milliseconds_gets_longer_ones() -> None:

@@ -10,6 +10,7 @@ the one that is open, and every report of the daemon must fit the exchange that 
   telegram, as the drive itself remembers it. Noise alone may turn an answer into that of a drive
   without the code (see `simulator.faults`), and a stop may be ended by the late acknowledgement
   of a write that stayed without its own: it is not believed, but proven by a read (`shown`).
+  Where answers get a wrong BCC as well, both may flip the same bit: no receiver sees that.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ from lecombus.fieldbus.requests import StepKind
 from lecombus.schedule import Priority
 from support.taps import STRIPPED
 
-__all__ = ["Wire", "is_whole"]
+__all__ = ["Wire", "differ_by_a_bit", "is_whole"]
 
 CHARACTER_BITS = 10
 UNREPORTED = 2
@@ -72,16 +73,19 @@ class Wire:
     Args:
         sim: The drives.
         clean: Whether every answer comes undamaged and in time.
-        told_apart: Whether an answer can be told from a copy of another drive's.
         say: Told what did not hold.
+        told_apart: Whether an answer can be told from a copy of another drive's.
+        may_cancel: Whether noise and a wrong BCC may strike one answer.
     """
 
     def __init__(
-        self, sim: SimLine, clean: bool, say: Callable[[str], None], *, told_apart: bool = True
-    ) -> None:
+        self, sim: SimLine, clean: bool, say: Callable[[str], None], *,
+        told_apart: bool = True, may_cancel: bool = False,
+    ) -> None:  # fmt: skip
         self._sim = sim
         self._clean = clean
         self._told_apart = told_apart
+        self._may_cancel = may_cancel
         self._say = say
         self._open: _Exchange | None = None
         self._unreported: deque[_Exchange] = deque()
@@ -146,8 +150,34 @@ class Wire:
             return
         trap = not self._clean and isinstance(report.result.answer, NOT_REMEMBERED)
         again = not self._clean and self._is_not_believed(one, report)
-        if self._told_apart and not trap and not again and not _is_told(one, report):
+        if self._told_apart and not trap and not again and not self._is_told(one, report):
             self._say(f"{report.drive} did not answer {report.result.answer} to {report.step}")
+
+    def _is_told(self, one: _Exchange, report: ExchangeReport) -> bool:
+        """Whether a drive remembers to have done upon this telegram what it is reported to.
+
+        A drive that could not understand a telegram remembers nothing; it says so, and that is told
+        apart from every answer judged here.
+        """
+        step, answer = report.step, report.result.answer
+        assert one.drive is not None
+        model = one.drive.model
+        if isinstance(answer, AckAnswer) and isinstance(model, Drive82XX) and model.shortened():
+            return step.kind is StepKind.WRITE  # it remembers the write when it has passed it on
+        last = one.drive.log[-1] if one.drive.log else None
+        if last is None or not one.said_s < last.time_s <= report.result.ended_s:
+            return False
+        same = (last.code, last.subcode) == (step.code.number, step.code.subcode)
+        if isinstance(answer, ValueAnswer):
+            said = last.text == answer.value.raw
+            said = said or (self._may_cancel and differ_by_a_bit(last.text, answer.value.raw))
+            return same and last.kind == "read" and last.accepted and said
+        if isinstance(answer, AckAnswer | NakAnswer):
+            accepted = isinstance(answer, AckAnswer)
+            return same and last.kind == "write" and last.accepted is accepted
+        if isinstance(answer, UnknownCodeAnswer):
+            return same and step.kind is StepKind.READ and not last.accepted
+        return False
 
     def _is_not_believed(self, one: _Exchange, report: ExchangeReport) -> bool:
         """Whether a stop took an acknowledgement that may be an old one, of any drive.
@@ -163,29 +193,10 @@ class Wire:
             self._say(f"{len(self._unreported)} exchanges were said and never reported")
 
 
-def _is_told(one: _Exchange, report: ExchangeReport) -> bool:
-    """Whether a drive remembers to have done upon this telegram what it is reported to have done.
-
-    A drive that could not understand a telegram remembers nothing; it says so, and that is told
-    apart from every answer judged here.
-    """
-    step, answer = report.step, report.result.answer
-    assert one.drive is not None
-    model = one.drive.model
-    if isinstance(answer, AckAnswer) and isinstance(model, Drive82XX) and model.shortened():
-        return step.kind is StepKind.WRITE  # it remembers the write when it has passed it on
-    last = one.drive.log[-1] if one.drive.log else None
-    if last is None or not one.said_s < last.time_s <= report.result.ended_s:
-        return False
-    same = (last.code, last.subcode) == (step.code.number, step.code.subcode)
-    if isinstance(answer, ValueAnswer):
-        return same and last.kind == "read" and last.accepted and last.text == answer.value.raw
-    if isinstance(answer, AckAnswer | NakAnswer):
-        accepted = isinstance(answer, AckAnswer)
-        return same and last.kind == "write" and last.accepted is accepted
-    if isinstance(answer, UnknownCodeAnswer):
-        return same and step.kind is StepKind.READ and not last.accepted
-    return False
+def differ_by_a_bit(said: str, heard: str) -> bool:
+    """Whether two texts differ in one bit of one character."""
+    apart = [ord(one) ^ ord(other) for one, other in zip(said, heard, strict=False) if one != other]
+    return len(said) == len(heard) and len(apart) == 1 and apart[0].bit_count() == 1
 
 
 def _has_come(one: _Exchange, answer: object) -> bool:
