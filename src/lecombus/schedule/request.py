@@ -19,6 +19,7 @@ __all__ = [
     "LEASE_ENDED",
     "OUT",
     "QUEUED",
+    "REPLACED",
     "STOPPED",
     "UNDER_WAY",
     "DispatchReason",
@@ -41,6 +42,9 @@ STOPPED: Final = "ended by a stop of the drive"
 
 CLIENT_GONE: Final = "its client closed the connection before it was sent"
 """Why a write ended that waited when the client that asked for it left."""
+
+REPLACED: Final = "a later request took its place"
+"""Why a write ended behind which a later one of the same went out."""
 
 LEASE_ENDED: Final = "its lease ended before it was sent"
 """Why a write ended that waited when its lease lapsed, was given up, or was taken over."""
@@ -129,6 +133,8 @@ class Request:
             the first telegram; None: it is sent even if its client has left.
         lease_ended: Says whether the lease has ended by which it was permitted. The line asks
             directly before each telegram that writes; None: it needs no lease.
+        says: For a write: what it changes, such as a code; equal for two that change the same.
+        halts: It is a plain write that stops its drives.
 
     The fields after it belong to the schedule; no other module writes them.
     """
@@ -151,6 +157,8 @@ class Request:
     hold_s: float = 0.0
     is_gone: Callable[[], bool] | None = None
     lease_ended: Callable[[], bool] | None = None
+    says: Hashable | None = None
+    halts: bool = False
     settled: bool = field(default=False, repr=False)
     # -- bookkeeping of the schedule ------------------------------------------------------------
     state: int = field(default=0, init=False, repr=False)  # OUT, QUEUED, DEFERRED, UNDER_WAY
@@ -167,6 +175,7 @@ class Request:
         default=DispatchReason.RIGHT, init=False, repr=False
     )  # by what it went
     source: object = field(default=None, init=False, repr=False)  # the entry or probe behind it
+    overtaken: str = field(default="", init=False, repr=False)  # why it writes nothing any more
 
     def shorten(self, worst_s: float) -> None:
         """Have it hold the line no longer than this, but for what its manual allows."""
@@ -199,8 +208,11 @@ class Request:
         """Say why its next telegram may not be sent any more; empty: it may.
 
         Args:
-            writes: That telegram writes; a lease that ended does not keep a proof from being read.
+            writes: That telegram writes; a lease that ended does not keep a proof from being read,
+                nor does a later write that went out first.
         """
+        if writes and self.overtaken:
+            return self.overtaken
         if self.is_gone is not None and not self.attempts and self.is_gone():
             return CLIENT_GONE
         if writes and self.lease_ended is not None and self.lease_ended():

@@ -440,6 +440,8 @@ class Schedule(DriveTable):
         request.state = OUT
         self._speaking_to = None
         self._waiting.forget_key(request)
+        if request.writes:
+            self._waiting.went_out(request)
         duration_s = now_s - started_s
         self._shares.book(request.priority, request.turn, duration_s)
         request.turn = DispatchReason.RIGHT

@@ -28,6 +28,7 @@ from lecombus.schedule.request import (
     DEFERRED,
     OUT,
     QUEUED,
+    REPLACED,
     STOPPED,
     UNDER_WAY,
     Outcome,
@@ -52,7 +53,6 @@ EXPIRE_BATCH: Final = 64  # expired requests ended per choice: about 0.1 ms
 _FIRST_AHEAD: Final = -(1 << 62)  # places of requests that go ahead of their class
 _LAST: Final = 1 << 63  # added to the places of stops of silent drives: behind all others
 
-_REPLACED: Final = "a later request took its place"
 _TOO_LATE: Final = "it was too late to begin"
 
 
@@ -145,7 +145,7 @@ class Waiting:
         if request.expires_at_s is not None:
             self.expiries.add(request)
         if old is not None:
-            self.end_waiting(old, Outcome.SUPERSEDED, _REPLACED)
+            self.end_waiting(old, Outcome.SUPERSEDED, REPLACED)
 
     def _superseded_by(self, request: Request) -> Request | None:
         """Find the waiting request that a new one takes the place of."""
@@ -276,7 +276,7 @@ class Waiting:
         elif request.writes and self._stopped_since(request):
             self.end(request, Outcome.SUPERSEDED, STOPPED)
         elif self._replaced_since(request):
-            self.end(request, Outcome.SUPERSEDED, _REPLACED)
+            self.end(request, Outcome.SUPERSEDED, REPLACED)
         else:
             return False
         return True
@@ -313,6 +313,22 @@ class Waiting:
         if request.writes:
             for drive in self._reached(request):
                 drive.writes.discard(request)
+
+    def went_out(self, request: Request) -> None:
+        """Note that a write was on the line: nothing asked for before it may undo it.
+
+        An earlier one can still wait: it was not answered and is to be said again, or had to be put
+        off. Behind a write that stops the drive it would start it. One that stops is said again.
+        """
+        for drive in self._reached(request):
+            for other in drive.writes:
+                early = bool(other.attempts) or other.priority <= request.priority
+                if other.serial > request.serial or not early or other.halts:
+                    continue
+                if request.halts:
+                    other.overtaken = STOPPED
+                elif request.says is not None and other.says == request.says and not other.members:
+                    other.overtaken = other.overtaken or REPLACED
 
     def forget_key(self, request: Request) -> None:
         """Note that a request is no longer one that a later one could take the place of."""

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 from lecombus.drives import StopAction, stop_steps
 from lecombus.drives.measured import SlowAnswers
-from lecombus.drives.stops import STOP_PATIENCE_S
+from lecombus.drives.stops import STOP_PATIENCE_S, asks_to_stop
 from lecombus.errors import OperationError
 from lecombus.fieldbus.costs import Cost, LineTiming
 from lecombus.fieldbus.lecom.address_codes import address_code
@@ -234,6 +234,8 @@ class LecomRequestMaker:
             writes=True,
             hold_s=station.hold_s,
             documented=self._documented(documented, cost),
+            says=code,
+            halts=asks_to_stop(station.family, code, value),
         )
 
     def read_back(
@@ -352,6 +354,8 @@ class LecomRequestMaker:
             members=tuple(one.name for one in members),
             hold_s=max((one.hold_s for one in members), default=0.0),
             expires_at_s=expires_at_s,
+            says=code,
+            halts=all(asks_to_stop(one.family, code, value) for one in members),
         )
 
     def shared_form(self, stations: Sequence[Station], code: Code) -> AddressForm | None:

@@ -441,8 +441,9 @@ class LecomExchangeLoop:
     def _withdraw(self, request: Request, now: float, why: str) -> None:
         """End a write that was chosen and not sent: no motor starts for a client that has left."""
         self.ready = None
+        outcome = Outcome.SUPERSEDED if why == request.overtaken else Outcome.REFUSED
         self._schedule.defer(request, now, now)
-        self._schedule.withdraw(request, Outcome.REFUSED, why)
+        self._schedule.withdraw(request, outcome, why)
 
     def _postpone(self, request: Request, until_s: float, now: float) -> None:
         """Send it later: a late answer that could pass for its own may still come.
@@ -599,8 +600,9 @@ class LecomExchangeLoop:
 def why_unwanted(request: Request, job: Job) -> str:
     """Say why the next telegram of a request may not be sent any more; empty: it may.
 
-    The step is looked at only where a lease asks for it: that of a stop is made at the first look,
+    The step is looked at only where that depends on it: that of a stop is made at the first look,
     and must not be made before the last exchange is published (`_ask`).
     """
-    writes = request.lease_ended is not None and job.step.kind is not StepKind.READ
+    depends = request.lease_ended is not None or bool(request.overtaken)
+    writes = depends and job.step.kind is not StepKind.READ
     return request.why_unwanted(writes=writes)

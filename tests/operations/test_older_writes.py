@@ -1,0 +1,102 @@
+"""A write that is said again, because it was not answered, undoes no later one that went out first.
+
+A multicast waits for no late acknowledgement, and where a drive knows one addressing form only, the
+proof of a write may have to wait longer than another write does.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable
+
+import anyio
+import pytest
+
+from lecombus.drives import StopAction
+from lecombus.fieldbus.lecom.simulator.faults import Faults
+from lecombus.parameters import Code
+from lecombus.schedule import Outcome
+from support.rosters import roster_text
+from support.site_host import Plant, until, with_plant
+
+DRIVE = "cyclic: [{code: C0150, every: 60s}], writable: [C0040, C0046, C0135]"
+GROUPS = "groups:\n  two: {members: [a, b], multicast: yes}\n"
+
+
+def roster(family: str, drive: str = DRIVE) -> str:
+    return roster_text([("a", 11, family), ("b", 12, family)], drive=drive, sections=GROUPS)
+
+
+async def unheard_until_read(plant: Plant, code: int, value: int | str) -> asyncio.Task[object]:
+    """Write to a drive that hears nothing until it was asked for its value once."""
+    begin_s = plant.now_s
+    plant.line.drive_faults[11] = Faults(unheard=1.0)
+    writing = asyncio.create_task(plant.site.operations.write("a", Code(code), value))
+
+    async def heals() -> None:
+        await until(lambda: b"\x0411%s\x05" % READ_AS[code] in said(plant, begin_s))
+        await anyio.sleep(0.02)
+        plant.line.drive_faults[11] = Faults()
+
+    plant.healing = asyncio.create_task(heals())  # type: ignore[attr-defined]
+    await anyio.sleep(0.01)
+    return writing
+
+
+READ_AS = {40: b"40", 46: b"46", 135: b"=5"}
+
+
+def said(plant: Plant, since_s: float) -> list[bytes]:
+    return [one.data for one in plant.end.sent if one.at_s >= since_s]
+
+
+def check(text: str, older: tuple[int, int | str], later: str, then: str) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        operations, (code, value) = plant.site.operations, older
+        stopped = await operations.stop(StopAction.INHIBIT, "two")
+        assert stopped.outcome is Outcome.VERIFIED
+        begin_s = plant.now_s
+        writing = await unheard_until_read(plant, code, value)
+        laters: dict[str, Awaitable[object]] = {
+            "group": operations.write_group("two", Code(code), then),
+            "plain": operations.write("a", Code(code), then),
+            "word": operations.write("a", Code(135), then),
+        }
+        for name, one in laters.items():
+            if name != later:
+                one.close()  # type: ignore[attr-defined]
+        report = await laters[later]
+        assert report.outcome.is_good  # type: ignore[attr-defined]
+        ended = await writing
+        await anyio.sleep(3.0)
+        if (code, then) == (46, "10"):
+            assert plant.line["a"].text(46) == "10"
+        else:
+            assert plant.line["a"].model.inhibited()
+        telegram = b"\x0411\x02%s%s\x03" % (READ_AS[code], str(value).encode())
+        times = sum(one.startswith(telegram) for one in said(plant, begin_s))
+        assert times == 1, "it was not said again"
+        assert ended.outcome is Outcome.UNKNOWN  # type: ignore[attr-defined]
+        assert "it was sent before, and not proven" in ended.reason  # type: ignore[attr-defined]
+
+    with_plant(test, text)
+
+
+@pytest.mark.parametrize(("older", "then"), [((40, 1), "0"), ((46, 40), "10")])
+def test_an_older_write_is_not_said_again_behind_a_multicast(
+    older: tuple[int, int | str], then: str
+) -> None:
+    check(roster("821x"), older, "group", then)
+
+
+@pytest.mark.parametrize("family", ["93xx", "smvector"])
+@pytest.mark.parametrize(
+    ("older", "later", "then"),
+    [((40, 1), "plain", "0"), ((40, 1), "word", "H0200"), ((135, "H0000"), "plain", "H0200")],
+)
+def test_an_older_write_is_not_said_again_behind_one_that_stops_the_drive(
+    older: tuple[int, int | str], later: str, then: str, family: str
+) -> None:
+    drive = DRIVE.replace("C0046, ", "") + ", addressing: standard"
+    check(roster(family, drive), older, later, then)
