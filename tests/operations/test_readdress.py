@@ -15,11 +15,11 @@ from lecombus.fieldbus.lecom.simulator.drive import SimDrive
 from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.fieldbus.lecom.simulator.receiver import ReceivedRequest
 from lecombus.fieldbus.requests import Station
-from lecombus.operations.awaited_requests import CAME_S
+from lecombus.operations.awaited_requests import CAME_S, IS_GONE
 from lecombus.operations.operation_reports import WriteReport
 from lecombus.parameters import Code, Value
 from lecombus.saved_state import State
-from lecombus.schedule import Outcome
+from lecombus.schedule import Outcome, Request
 from support.rosters import roster_text
 from support.site_host import Plant, until, with_plant
 
@@ -162,6 +162,40 @@ def test_what_can_be_seen_before_is_refused_before() -> None:
         assert (await refused(plant, 35)).kind == "not-permitted"
 
     with_plant(test, ROSTER, also=[("stranger", 44, "generic")])
+
+
+@pytest.mark.parametrize("left_s", [0.0, 0.01, 0.1])
+def test_nothing_is_changed_for_a_client_that_left_before_it_was_written(left_s: float) -> None:
+    """What is read first takes a while, and another change may be under way before it."""
+
+    async def test(plant: Plant) -> None:
+        await ready(plant)
+        gone_s = plant.now_s + left_s
+        IS_GONE.set(lambda: plant.now_s >= gone_s)
+        assert (await refused(plant, 35)).kind == "client-gone"
+        assert plant.line["a"].address == 11
+
+    with_plant(test, ROSTER)
+
+
+def test_a_change_of_address_that_waits_for_its_turn_is_not_sent_when_its_client_leaves() -> None:
+    async def test(plant: Plant) -> None:
+        await ready(plant)
+        left: list[bool] = []
+        IS_GONE.set(lambda: bool(left))
+        submit = plant.site.worker.submit
+
+        def leaves(request: Request) -> None:
+            submit(request)
+            if request.writes:
+                left.append(True)
+
+        plant.site.worker.submit = leaves  # type: ignore[method-assign]
+        report = await change(plant, 35)
+        assert (report.outcome, report.kind) == (Outcome.REFUSED, "client-gone")
+        assert plant.line["a"].address == 11
+
+    with_plant(test, ROSTER)
 
 
 def test_a_damaged_answer_at_the_new_address_is_somebody_too() -> None:

@@ -235,8 +235,9 @@ class Requests:
         verify: bool,
         expires_at_s: float | None = None,
         lease_ended: Callable[[], bool] | None = None,
+        is_gone: Callable[[], bool] | None = None,
     ) -> tuple[Outcome, str]:
-        """Write one code and wait for the outcome; `lease_ended` as in `Request`.
+        """Write one code and wait for the outcome; `lease_ended` and `is_gone` as in `Request`.
 
         Raises:
             LineError: There is no line; nothing was sent.
@@ -246,7 +247,7 @@ class Requests:
         request = self.maker.write(
             station, code, value, settle=ending.settle, verify=verify, expires_at_s=expires_at_s,
         )  # fmt: skip
-        request.lease_ended = lease_ended
+        request.lease_ended, request.is_gone = lease_ended, is_gone
         self.worker.submit(request)
         return await ending.wait()
 

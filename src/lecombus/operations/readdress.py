@@ -45,14 +45,14 @@ from lecombus.errors import (
 from lecombus.fieldbus.protocols import find
 from lecombus.fieldbus.requests import Station
 from lecombus.leases import Use
-from lecombus.operations.awaited_requests import Requests
+from lecombus.operations.awaited_requests import IS_GONE, Requests, refuse_for_gone_client
 from lecombus.operations.identities import Identities
 from lecombus.operations.lease_operations import Leases
 from lecombus.operations.operation_reports import WriteReport, stopped_first
 from lecombus.parameters import Code, Value
 from lecombus.saved_state import Moved, State
 from lecombus.schedule import Outcome, Priority
-from lecombus.schedule.request import LEASE_ENDED
+from lecombus.schedule.request import CLIENT_GONE, LEASE_ENDED
 
 __all__ = ["Readdress"]
 
@@ -156,17 +156,20 @@ class Readdress:
                 was_stopped = self._requests.stops_said(drive) != stops
                 if was_stopped or self._requests.stopped_since_asked(drive):
                     return stopped_first(drive, code)
+                refuse_for_gone_client(drive)
                 logger.warning(
                     "drive=%s event=readdress from=%d to=%d", drive, station.address, address
                 )
                 outcome, reason = await self._requests.write(
                     station, code, Value.decimal(address), verify=False,
                     lease_ended=self._leases.ended_check({drive: Use.SETTING}),
+                    is_gone=IS_GONE.get(),
                 )  # fmt: skip
                 if outcome is Outcome.SUPERSEDED:
                     return stopped_first(drive, code)
                 if outcome not in (Outcome.DONE, Outcome.UNKNOWN):
                     kind = "lease-lost" if reason.startswith(LEASE_ENDED) else "nak"
+                    kind = "client-gone" if reason == CLIENT_GONE else kind
                     return WriteReport(drive, code, outcome, reason, kind=kind)
                 found = await self._find(drive, there, address)
             if found:
