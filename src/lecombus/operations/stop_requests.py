@@ -2,8 +2,10 @@
 
 A stop differs from other requests: it is sent to offline drives too (a drive that does not answer
 may still receive), and it needs no permission. After a multicast stop every member is read back; a
-member that does not show the stop is stopped by a separate telegram. A second stop of a drive
-that is asked for while the first waits shares the first one's telegram and outcome.
+member that does not show the stop is stopped by a separate telegram. So is one that showed it
+before and was not stopped by the line: its reading would not show that it heard the multicast. A
+second stop of a drive that is asked for while the first waits shares the first one's telegram and
+outcome.
 """
 
 from __future__ import annotations
@@ -82,7 +84,9 @@ class Stops:
             self._submit_shared(target, action, shared)
         # Drives that answer first: each attempt at a silent one waits for its time-out.
         endings = {
-            one.name: self._say_stop(one, action, said=shared is not None)
+            one.name: self._say_stop(
+                one, action, said=shared is not None and not self._stands_otherwise(one, action)
+            )
             for one in sorted(able, key=self._context.silence_of)
         }
         reports = [await self._stop_report(one, endings[one.name]) for one in able]
@@ -144,6 +148,27 @@ class Stops:
             able, code, value, Priority.STOP, settle=ignore_end,
             stops=tuple(one.name for one in able),
         )  # fmt: skip
+
+    def _stands_otherwise(self, station: Station, action: StopAction) -> bool:
+        """Whether a drive shows a stop already that the line has not said, as far as is known.
+
+        A terminal, the keypad or the watchdog holds it: it may let it go, and then the drive runs
+        unless it has heard the line's stop itself.
+        """
+        rule = station.family.stops[action]
+        proof, said = rule.proofs.get(rule.code), self._context.control_word(station.name).said
+        value = said(rule.code)
+        if value is not None and proof is not None and proof.holds(value):
+            return False
+        known = (
+            (one, self._context.store.reading(station.name, code))
+            for code, one in rule.proofs.items()
+            if code != rule.code
+        )
+        return any(
+            reading is not None and reading.value is not None and one.holds(reading.value)
+            for one, reading in known
+        )
 
     def _is_being_inhibited(self, name: str) -> bool:
         """Whether a stop is about to change the control word that was read last."""
