@@ -65,6 +65,32 @@ def test_a_multicast_that_such_a_drive_did_not_hear_is_made_good(family: str) ->
     stopped_behind_its_terminal(roster(family), stop, outcome=Outcome.VERIFIED)
 
 
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("retries", [0, 2])
+def test_a_stop_that_such_a_drive_refuses_is_not_proven(family: str, retries: int) -> None:
+    async def stop(plant: Plant) -> GroupReport:
+        plant.line.drive_faults[11] = Faults(nak=1.0)
+        return await plant.site.operations.stop(INHIBIT, "a")
+
+    text = roster(family, f"retries: {retries}")
+    stopped_behind_its_terminal(text, stop, outcome=Outcome.UNKNOWN)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_one_that_it_refuses_once_is_said_again_until_it_takes_it(family: str) -> None:
+    """One damaged telegram, on a line that repeats nothing."""
+
+    async def stop(plant: Plant) -> GroupReport:
+        plant.line.drive_faults[11] = Faults(nak=1.0)
+        stopping = asyncio.create_task(plant.site.operations.stop(INHIBIT, "a"))
+        await until(lambda: any(b"\x0411\x02400" in one.data for one in plant.end.sent))
+        await anyio.sleep(0.05)
+        plant.line.drive_faults[11] = Faults()
+        return await stopping
+
+    stopped_behind_its_terminal(roster(family, "retries: 0"), stop, outcome=Outcome.VERIFIED)
+
+
 def test_of_drives_that_the_line_has_stopped_itself_none_is_stopped_again() -> None:
     """A group that is inhibited is inhibited again with one telegram."""
 

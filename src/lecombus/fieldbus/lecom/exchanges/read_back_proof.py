@@ -8,6 +8,9 @@ Where that is not enough (the drive did not answer before, or second answers cam
 three things: an acknowledgement by the drive itself, two readings in two forms or of two codes, and
 its address, read from the drive: no other drive of the line gives that answer.
 
+A reading proves no stop that the drive has refused (NAK) and not acknowledged since: something else
+may hold it, and let it go.
+
 A write is proven with less: an answer that no other drive was asked for lately is this drive's, and
 an acknowledgement that was lost is not asked for again.
 """
@@ -75,6 +78,7 @@ class ReadBackProof:
         self.silent = silent
         self.acknowledged = False
         self.repeated = False
+        self._is_refused = False
         self._was_offline = offline
         self._ack_is_own = False
         self._shown: set[bytes] = set()
@@ -84,17 +88,21 @@ class ReadBackProof:
         self._asked_itself = 0
         self._led_astray: set[AddressForm] = set()
 
-    def said(self, *, acknowledged: bool, drive: str = "", at_s: float = 0.0) -> None:
+    def said(
+        self, *, acknowledged: bool, refused: bool = False, drive: str = "", at_s: float = 0.0
+    ) -> None:
         """Record that it was sent: a value read before the acknowledgement is too early.
 
         Args:
             acknowledged: An acknowledgement came.
+            refused: A NAK came.
             drive: Whose it should be; empty: nothing depends on that.
             at_s: When it was sent.
         """
         self.repeated = False
         if acknowledged and drive:
             self._ack_is_own |= not self._duplicates.may_be_anothers(ACK_FIELD, drive, at_s)
+        self._is_refused |= refused
         if not self.acknowledged:
             self.acknowledged = acknowledged
             self._shown.clear()
@@ -166,11 +174,13 @@ class ReadBackProof:
 
     def begin(self) -> None:
         """Start again, with another stop."""
-        self.acknowledged = self._ack_is_own = False
+        self.acknowledged = self._ack_is_own = self._is_refused = False
         self._shown.clear()
 
     def is_enough(self, station: Station, what: StopAction | WrittenValue, now_s: float) -> bool:
         """Whether the stop is shown."""
+        if self._is_refused and not self.acknowledged:
+            return False
         if not (self.silent or self._duplicates.doubtful(now_s)):
             return bool(self._shown)
         if not self._is_shown_by_itself(station, what, now_s):
@@ -211,6 +221,8 @@ class ReadBackProof:
 
     def missing(self, station: Station) -> str:
         """Say what is not shown, where a reading showed the stop."""
+        if self._is_refused and not self.acknowledged:
+            return "the drive refused it (NAK): something else may hold it"
         if not self.acknowledged:
             return "the drive did not acknowledge it: the answer may be another drive's"
         if self._was_offline and not self._ack_is_own and self._knows_it:

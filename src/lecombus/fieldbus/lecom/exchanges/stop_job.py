@@ -254,8 +254,9 @@ class StopJob(StopWork):
         self.attempts += 1
         acknowledged = type(result.answer) is AckAnswer
         self._proving.said(
-            acknowledged=acknowledged, drive=self.station.name, at_s=result.started_s
-        )
+            acknowledged=acknowledged, refused=type(result.answer) is NakAnswer,
+            drive=self.station.name, at_s=result.started_s,
+        )  # fmt: skip
         if type(result.answer) is AckAnswer:
             self.error, self._unheard, self._naks, self._checking = None, 0, 0, True
             return None
