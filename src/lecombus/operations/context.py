@@ -7,7 +7,7 @@ from typing import Final
 
 from lecombus.config import DriveEntry, GroupEntry
 from lecombus.drive_state.control_word import ControlWord
-from lecombus.drive_state.readings import DriveState
+from lecombus.drive_state.readings import DriveState, Reading
 from lecombus.drive_state.store import Store
 from lecombus.errors import OperationError, meant
 from lecombus.fieldbus.requests import Station
@@ -20,6 +20,7 @@ from lecombus.operations.stop_conditions import ShownStops, StopMarks
 from lecombus.operations.wear import Wear
 from lecombus.operations.why import StandstillDiagnosis
 from lecombus.operations.write_kinds import WriteKinds
+from lecombus.parameters import Code
 from lecombus.saved_state import State
 
 __all__ = ["OperationContext"]
@@ -145,6 +146,12 @@ class OperationContext:
         """Return the control word of a drive; one that left the roster has none that is known."""
         found = self.requests.drives.find(drive)
         return ControlWord(self.clock) if found is None else found.control_word
+
+    def last_reading(self, drive: str, code: Code) -> Reading | None:
+        """Return what a code read last; None: nothing, or a reload has removed the drive since."""
+        if self.requests.drives.find(drive) is None:
+            return None
+        return self.store.reading(drive, code)
 
     def silence_of(self, station: Station) -> int:
         """Return how little a drive answers: 0 online, 1 not known yet, 2 offline."""

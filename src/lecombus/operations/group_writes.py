@@ -327,7 +327,7 @@ class GroupWrites:
             if doubt:
                 text = f"it went out as a multicast; {doubt}"
                 return WriteReport(station.name, code, Outcome.UNKNOWN, text, kind="no-answer")
-            reading = self._context.store.reading(station.name, code)
+            reading = self._context.last_reading(station.name, code)
             proof = Proof(code, found.raw, "value")
             return WriteReport(station.name, code, Outcome.VERIFIED, reading=reading, proof=proof)
         # An edge or a step may have happened and still read as before.

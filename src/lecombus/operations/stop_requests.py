@@ -106,12 +106,7 @@ class Stops:
         job = ending.request.work if ending.request is not None else None
         assert isinstance(job, StopWork)
         code = station.family.stops[job.action].code
-        try:
-            report = self._writes.report(station.name, code, ending, outcome, reason)
-        except OperationError:
-            # A reload removed the drive from the roster while the stop was under way.
-            kind = "" if outcome.is_good else ending.failure(outcome, reason)
-            report = WriteReport(station.name, code, outcome, reason, kind=kind)
+        report = self._writes.report(station.name, code, ending, outcome, reason)
         if outcome is Outcome.VERIFIED and job.proof is not None and job.proof_code is not None:
             shows = "command held" if job.proof_code == code else SHOWN[job.action]
             return replace(report, proof=Proof(job.proof_code, job.proof.raw, shows))

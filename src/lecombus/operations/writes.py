@@ -212,7 +212,7 @@ class Writes:
             remedy = CUT_REMEDY
         elif reason.startswith(STOPPED):
             remedy = READ_REMEDY if outcome is Outcome.UNKNOWN else STOPPED_REMEDY
-        reading = self._context.store.reading(drive, code)
+        reading = self._context.last_reading(drive, code)
         job, proof = ending.request.work if ending.request is not None else None, None
         if outcome is Outcome.VERIFIED and isinstance(job, WriteWork) and job.proof is not None:
             proof = Proof(job.code, job.proof.raw, "value")

@@ -66,6 +66,9 @@ class DriveTable(ABC):
     def remove_drive(self, name: str, now_s: float, reason: str) -> WatchdogDeadline | None:
         """Forget a drive: its waiting requests end as refused; stops still go out.
 
+        What is on the line for it ends behind the telegram under way, also if the name comes back:
+        it may be another device by then.
+
         Returns:
             How it was fed, for `resume_feeding` if it comes back; None: it was not.
         """
@@ -74,6 +77,7 @@ class DriveTable(ABC):
         left = fed or self._fed_before.get(name)
         self._fed_before.pop(name, None)
         self.park(name, now_s, reason)
+        self._waiting.end_multicasts(self._drives[name], reason)
         self._waiting.set_silent(name, silent=silent)
         self.set_feeding(name, None, now_s)
         self.set_probe(name, None, now_s)
@@ -81,6 +85,11 @@ class DriveTable(ABC):
             self._polling.leave(entry)
         self._release(self._drives.pop(name), now_s)
         return left
+
+    def refuse_group(self, name: str, reason: str) -> None:
+        """End the multicasts of a group that wait, stops apart: it is another group by now."""
+        self._invalidate()
+        self._waiting.end_all(self._waiting.listed(drive=name), Outcome.REFUSED, reason)
 
     def resume_feeding(self, name: str, left: WatchdogDeadline, *, is_same: bool) -> None:
         """Go on feeding a drive that was taken out and is back already.

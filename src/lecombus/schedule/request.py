@@ -21,6 +21,7 @@ __all__ = [
     "QUEUED",
     "REPLACED",
     "STOPPED",
+    "TAKEN_OUT",
     "UNDER_WAY",
     "DispatchReason",
     "Outcome",
@@ -45,6 +46,9 @@ CLIENT_GONE: Final = "its client closed the connection before it was sent"
 
 REPLACED: Final = "a later request took its place"
 """Why a write ended behind which a later one of the same went out."""
+
+TAKEN_OUT: Final = "was taken out of the roster"
+"""Why what waits for a drive ends at a reload that removed or changed it; behind its name."""
 
 LEASE_ENDED: Final = "its lease ended before it was sent"
 """Why a write ended that waited when its lease lapsed, was given up, or was taken over."""
@@ -175,6 +179,7 @@ class Request:
         default=DispatchReason.RIGHT, init=False, repr=False
     )  # by what it went
     source: object = field(default=None, init=False, repr=False)  # the entry or probe behind it
+    home: object = field(default=None, init=False, repr=False)  # its drive when it was submitted
     overtaken: str = field(default="", init=False, repr=False)  # why it writes nothing any more
 
     def shorten(self, worst_s: float) -> None:

@@ -30,6 +30,7 @@ from lecombus.schedule.request import (
     QUEUED,
     REPLACED,
     STOPPED,
+    TAKEN_OUT,
     UNDER_WAY,
     Outcome,
     Priority,
@@ -130,6 +131,7 @@ class Waiting:
         if drive is not None and drive.parked is not None:
             self.end(request, Outcome.REFUSED, drive.parked)
             return
+        request.home = drive
         queue = self.queues[request.priority]
         old = self._superseded_by(request)
         if old is None or old.priority is not request.priority:
@@ -271,7 +273,9 @@ class Waiting:
         if request.priority is Priority.STOP:
             return False
         drive = self.drives.get(request.drive)
-        if drive is not None and drive.parked is not None and type(request.source) is not Probe:
+        if request.home is not None and request.home is not drive:
+            self.end(request, Outcome.REFUSED, f"{request.drive} {TAKEN_OUT}")
+        elif drive is not None and drive.parked is not None and type(request.source) is not Probe:
             self.end(request, Outcome.REFUSED, drive.parked)
         elif request.writes and self._stopped_since(request):
             self.end(request, Outcome.SUPERSEDED, STOPPED)
@@ -363,6 +367,10 @@ class Waiting:
         if outcome in self.counts:
             self.counts[outcome][request.priority] += 1
         request.cut(outcome, reason)
+
+    def end_multicasts(self, drive: QueuedDrive, reason: str) -> None:
+        """End the multicasts that wait and reach a drive, stops apart."""
+        self.end_all([one for one in drive.writes if one.members], Outcome.REFUSED, reason)
 
     def end_all(self, requests: list[Request], outcome: Outcome, reason: str) -> None:
         """End those of the requests that still wait: one's end may have ended another."""

@@ -21,6 +21,7 @@ from lecombus.fieldbus.requests import Station
 from lecombus.metrics import Metrics
 from lecombus.operations.awaited_requests import Requests
 from lecombus.schedule import Cyclic, WatchdogDeadline
+from lecombus.schedule.request import TAKEN_OUT
 from lecombus.supervision.drive_supervisor import DriveSupervisor
 from lecombus.supervision.health import Health
 
@@ -92,6 +93,9 @@ class DriveChanges:
                 self._begin_again(left[entry.name], entry)
             elif self._drives.find(entry.name) is None:
                 self.add(entry)
+        for name, group in old.groups.items():
+            if roster.groups.get(name) != group:
+                self._schedule.refuse_group(name, f"the roster's group {name} was changed")
         for name in set(old.groups) - set(roster.groups):
             self._metrics.counters.remove(name)
         for name in roster.groups:
@@ -141,7 +145,7 @@ class DriveChanges:
         """Send nothing more to a drive; gives how far the feeding of its watchdog was."""
         name = drive.name
         self._health.audits.withdraw(drive)
-        reason = f"{name} was taken out of the roster"
+        reason = f"{name} {TAKEN_OUT}"
         feed = self._schedule.remove_drive(name, self._clock(), reason)
         self._drives.take_out(drive)
         drive.control_word.forget()
