@@ -10,6 +10,7 @@ import pytest
 
 from lecombus.drives import StopAction, Verb
 from lecombus.errors import OperationError
+from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.operations.awaited_requests import CAME_S
 from lecombus.operations.operation_reports import VerbReport, WriteReport
 from lecombus.parameters import Code
@@ -286,5 +287,53 @@ def test_a_stop_ends_what_was_asked_for_before_it_and_had_to_wait_for_its_turn()
                     and b"\x02" in one.data]  # fmt: skip
         CAME_S.set(plant.now_s)
         assert (await operations.write("a", Code(1920), 1)).outcome is Outcome.DONE
+
+    with_plant(test, ROSTER)
+
+
+@pytest.mark.parametrize("fails", ["silent", "nak", "expired"])
+def test_an_enable_that_a_write_ended_which_did_not_stop_the_drive_is_taken_back(
+    fails: str,
+) -> None:
+    """The enable ends when such a write comes; it may be refused, or never sent."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        operations = plant.site.operations
+        await operations.stop(INHIBIT, "a")
+        enabling = asyncio.create_task(operations.verb("a", Verb.ENABLE))
+        await until(lambda: plant.is_asking(b"\x0411\x02401"))
+        expires_s = None
+        if fails == "silent":
+            plant.line.drive_faults[11] = Faults(lost=1.0)
+        elif fails == "nak":
+            await anyio.sleep(0.06)
+            plant.line.drive_faults[11] = Faults(nak=1.0)
+        else:
+            expires_s = 0.0001
+        report = await operations.write("a", Code(135), "H0008", expires_s=expires_s)
+        assert not report.outcome.is_good
+        plant.line.drive_faults[11] = Faults()
+        enabled = await enabling
+        assert enabled.outcome is Outcome.SUPERSEDED
+        assert "the write that was to stop it was not done; it was inhibited" in enabled.remedy
+        assert plant.line["a"].model.inhibited()
+
+    with_plant(test, ROSTER)
+
+
+def test_one_that_was_ended_by_a_write_that_did_stop_the_drive_is_left_to_that() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        operations = plant.site.operations
+        await operations.stop(INHIBIT, "a")
+        enabling = asyncio.create_task(operations.verb("a", Verb.ENABLE))
+        await until(lambda: plant.is_asking(b"\x0411\x02401"))
+        report = await operations.write("a", Code(135), "H0008")
+        assert report.outcome is Outcome.DONE
+        enabled = await enabling
+        assert (enabled.outcome, enabled.remedy) == (Outcome.SUPERSEDED, "")
+        await anyio.sleep(2.0)
+        assert not plant.line["a"].model.inhibited(), "it is held by the quick stop that was asked"
 
     with_plant(test, ROSTER)

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -284,13 +284,16 @@ class EnableRecord:
 class LastingRecord:
     """What counts for the drive of this name with any entry, also when it comes back later.
 
-    Changed by `awaited_requests`, `stop_conditions`, `verb_steps` and `wear` of `operations`.
+    Changed by `awaited_requests`, `stop_conditions`, `verb_steps`, `wear`, `writes` and
+    `group_writes` of `operations`.
 
     Args:
         stops: How often a stop was sent to it, for work of several steps: what is not in the
             schedule yet when a stop comes must not be written either.
         stopped_at_s: When a stop was last sent to it, monotonic seconds.
         stop_written_at_s: When a plain write that stops it was last sent, monotonic seconds.
+        stop_write_done: Waits for the end of that write and says whether it was done; None: it was
+            not sent.
         stops_and_writes: How often it was to stop, by a stop or by a plain write.
         lifts: How many plain writes may have lifted its inhibit.
         verb: The enable or the reset that is under way (`operations.verb_steps`).
@@ -302,6 +305,7 @@ class LastingRecord:
     stops: int = 0
     stopped_at_s: float = -math.inf
     stop_written_at_s: float = -math.inf
+    stop_write_done: Callable[[], Awaitable[bool]] | None = None
     stops_and_writes: int = 0
     lifts: int = 0
     verb: Verb | None = None

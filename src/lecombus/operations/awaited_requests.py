@@ -97,6 +97,11 @@ class Ending:
         """Return outcome and reason."""
         return await self._future
 
+    async def is_done(self) -> bool:
+        """Wait beside the one that asked for it, and say whether it was done."""
+        await asyncio.wait([self._future])
+        return self._future.result()[0].is_good
+
     @property
     def error(self) -> ExchangeError | None:
         """What the last exchange of the request failed with, if it did."""

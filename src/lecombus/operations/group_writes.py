@@ -308,6 +308,9 @@ class GroupWrites:
             stations, code, [wire] * len(stations)
         )
         self._context.requests.submit(request)
+        for one in stations:
+            if asks_to_stop(one.family, code, wire):
+                self._context.lasting(one.name).stop_write_done = ending.is_done
         outcome, reason = await ending.wait()
         kind = "" if outcome is Outcome.DONE else ending.failure(outcome, reason)
         return outcome, reason, kind

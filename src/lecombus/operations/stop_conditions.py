@@ -63,7 +63,7 @@ class StopMarks:
         drive = self._requests.drives.find(station.name)
         lasting = self._requests.drives.lasting(station.name)
         if asks_to_stop(station.family, code, wire):
-            lasting.stop_written_at_s = self._clock()
+            lasting.stop_written_at_s, lasting.stop_write_done = self._clock(), None
             lasting.count_stop()
         elif drive is not None and drive.control_word.moves(code):
             lasting.lifts += 1

@@ -104,15 +104,15 @@ class Verbs:
         self._context.leases.check(drive, Use.SETTING if verb is Verb.SET_SPEED else USES[verb])
         self._context.permissions.check_ready(drive)
         expires_at_s = None if expires_s is None else self._context.clock() + expires_s
-        run = Run(
-            station, verb, self._context.lasting(drive).stops_and_writes, expires_at_s, verify
-        )
+        lasting = self._context.lasting(drive)
+        run = Run(station, verb, lasting.stops_and_writes, lasting.stops, expires_at_s, verify)
         if self._context.requests.stopped_since_asked(drive):
             return verb_report(run, superseded(run))
         # A setpoint may follow another that is under way.
         with contextlib.nullcontext() if verb is Verb.SET_SPEED else self._steps.alone(drive, verb):
             try:
                 report = await self._whole(run, value, unit)
+                report = await self._unless_stopped(run, report)
             except OperationError as exc:
                 if verb is Verb.ENABLE:
                     self._context.why.enable_refused(drive, exc)
@@ -144,6 +144,21 @@ class Verbs:
                 with contextlib.suppress(*TROUBLE):
                     return await self._take_back(run, report)
             return verb_report(run, report)
+
+    async def _unless_stopped(self, run: Run, report: VerbReport) -> VerbReport:
+        """Take an enable back that a plain write ended which was to stop the drive and did not."""
+        name = run.station.name
+        lasting = self._context.lasting(name)
+        by_write = self._steps.stopped_meanwhile(run) and lasting.stops == run.said
+        if run.verb is not Verb.ENABLE or not run.written or not by_write:
+            return report
+        is_done = lasting.stop_write_done
+        if is_done is not None and await is_done():
+            return report
+        ended = replace(superseded(run), remedy="the write that was to stop it was not done")
+        with contextlib.suppress(*TROUBLE):
+            return await self._take_back(run, ended)
+        return report
 
     # ---- the verbs --------------------------------------------------------------------------
 

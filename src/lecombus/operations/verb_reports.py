@@ -40,6 +40,7 @@ class Run:
         station: The drive.
         verb: The command.
         stops: How many stops of the drive had been said when it began, its own included.
+        said: How many stops had been said then, plain writes left out.
         lifts: How many plain writes that may lift an inhibit had been said when it inhibited the
             drive; None while it has not.
         expires_at_s: No write of it is begun after this.
@@ -52,6 +53,7 @@ class Run:
     station: Station
     verb: Verb
     stops: int
+    said: int
     expires_at_s: float | None = None
     verify: bool = False
     lifts: int | None = None

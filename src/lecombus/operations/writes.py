@@ -189,6 +189,8 @@ class Writes:
         request.is_gone = None if goes_on else client_check(station, code, wire)
         request.lease_ended = self._context.permissions.lease_check((station,), code, (wire,), use)
         self._context.requests.submit(request)
+        if asks_to_stop(station.family, code, wire):
+            self._context.lasting(station.name).stop_write_done = ending.is_done
         return ending
 
     def restore_rights(self, drive: str) -> RestoreRights:
