@@ -153,6 +153,23 @@ class OperationContext:
             return None
         return self.store.reading(drive, code)
 
+    def stands_otherwise(self, station: Station, code: Code) -> bool:
+        """Whether a drive shows the stop of a code that the line has not said, as far as is known.
+
+        A terminal, the keypad or the watchdog holds it: it may let it go, and then the drive runs
+        unless it has heard the line's stop itself.
+        """
+        said = self.control_word(station.name).said(code)
+        for rule in station.family.stops.values():
+            own = rule.proofs.get(code)
+            if rule.code != code or (said is not None and own is not None and own.holds(said)):
+                continue
+            for shown_by, proof in rule.proofs.items():
+                reading = self.last_reading(station.name, shown_by) if shown_by != code else None
+                if reading is not None and reading.value and proof.holds(reading.value):
+                    return True
+        return False
+
     def silence_of(self, station: Station) -> int:
         """Return how little a drive answers: 0 online, 1 not known yet, 2 offline."""
         state = self.store.state(station.name)

@@ -221,9 +221,20 @@ class GroupWrites:
         for one in stations:
             self._context.wear.take(one.name, code)
             self._context.stop_marks.note_write(one, code, wire)
+        otherwise = {
+            one.name for one in stations
+            if asks_to_stop(one.family, code, wire) and self._context.stands_otherwise(one, code)
+        }  # fmt: skip
         outcome, reason, kind = await self._multicast(to, stations, code, wire, expires_at_s)
         if outcome is Outcome.DONE and verify is not False:
-            proofs = await asyncio.gather(*(self._proof(one, code, wire) for one in stations))
+            proofs = await asyncio.gather(
+                *(
+                    self._again(one, code, wire)
+                    if one.name in otherwise
+                    else self._proof(one, code, wire)
+                    for one in stations
+                )
+            )
             return await self._context.diagnosis.explain_all(
                 proofs, stations, [wire] * len(stations)
             )
@@ -314,6 +325,15 @@ class GroupWrites:
         outcome, reason = await ending.wait()
         kind = "" if outcome is Outcome.DONE else ending.failure(outcome, reason)
         return outcome, reason, kind
+
+    async def _again(self, station: Station, code: Code, wire: Value) -> WriteReport:
+        """Write a stop once more to a member whose reading would not show that it heard it."""
+        try:
+            ending = self._writes.submit_write(station, code, wire, None, verify=True, goes_on=True)
+        except (LineError, QueueFullError) as exc:
+            kind = "queue-full" if isinstance(exc, QueueFullError) else "line-lost"
+            return WriteReport(station.name, code, Outcome.UNKNOWN, str(exc), kind=kind)
+        return self._writes.report(station.name, code, ending, *await ending.wait())
 
     async def _proof(self, station: Station, code: Code, wire: Value) -> WriteReport:
         """Read a member back after a multicast."""

@@ -85,7 +85,10 @@ class Stops:
         # Drives that answer first: each attempt at a silent one waits for its time-out.
         endings = {
             one.name: self._say_stop(
-                one, action, said=shared is not None and not self._stands_otherwise(one, action)
+                one,
+                action,
+                said=shared is not None
+                and not self._context.stands_otherwise(one, one.family.stops[action].code),
             )
             for one in sorted(able, key=self._context.silence_of)
         }
@@ -143,27 +146,6 @@ class Stops:
             able, code, value, Priority.STOP, settle=ignore_end,
             stops=tuple(one.name for one in able),
         )  # fmt: skip
-
-    def _stands_otherwise(self, station: Station, action: StopAction) -> bool:
-        """Whether a drive shows a stop already that the line has not said, as far as is known.
-
-        A terminal, the keypad or the watchdog holds it: it may let it go, and then the drive runs
-        unless it has heard the line's stop itself.
-        """
-        rule = station.family.stops[action]
-        proof, said = rule.proofs.get(rule.code), self._context.control_word(station.name).said
-        value = said(rule.code)
-        if value is not None and proof is not None and proof.holds(value):
-            return False
-        known = (
-            (one, self._context.store.reading(station.name, code))
-            for code, one in rule.proofs.items()
-            if code != rule.code
-        )
-        return any(
-            reading is not None and reading.value is not None and one.holds(reading.value)
-            for one, reading in known
-        )
 
     def _is_being_inhibited(self, name: str) -> bool:
         """Whether a stop is about to change the control word that was read last."""

@@ -19,7 +19,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from lecombus.drives import WriteClass
-from lecombus.drives.stops import usable_word
+from lecombus.drives.stops import asks_to_stop, usable_word
 from lecombus.errors import (
     ChecksumReportedError,
     CutReplyError,
@@ -356,6 +356,11 @@ class WriteJob(WriteWork):
         if self._is_no_word(self.proof):
             text = f"it reads {self.proof.raw} afterwards, which is no control word"
             return Outcome.UNKNOWN, text
+        if back.is_shown and not self._acknowledged and self._stops:
+            if self.attempts <= self.retries:
+                return self._again()
+            text = "the write was not acknowledged: something else may hold the drive"
+            return Outcome.UNKNOWN, f"{text}, {self.code} reads {self.proof.raw}"
         if back.is_shown:
             self.error = None
             return verdict
@@ -370,6 +375,14 @@ class WriteJob(WriteWork):
         if self.attempts <= self.retries:
             return self._again()
         return Outcome.REFUSED, f"{self.error}; it still reads {self.proof.raw}"
+
+    @property
+    def _stops(self) -> bool:
+        """Whether it stops the drive: its reading then does not show that the drive has heard it.
+
+        A terminal or the keypad may hold the drive, and let it go.
+        """
+        return asks_to_stop(self.station.family, self.code, self.value)
 
     def _is_no_word(self, value: Value) -> bool:
         """Whether what should be a control word has more than 16 bits: it is something else."""
