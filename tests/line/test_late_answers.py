@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import anyio
 
+from lecombus.fieldbus.lecom.exchanges.late_answers import PendingLateAnswers
+from lecombus.fieldbus.lecom.protocol.controls import bcc
 from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.line.worker import WorkerOptions
 from lecombus.schedule import Outcome, Priority, WatchdogFeeding
@@ -13,6 +15,11 @@ STOP_A = b"\x0401\x02400\x03"
 """C0040 = 0 to drive 1, without its block check."""
 
 THREE = (("a", 1, "8200vector"), ("b", 2, "8200vector"), ("c", 3, "8200vector"))
+
+
+def answer(field: bytes, value: bytes) -> bytes:
+    body = field + value + b"\x03"
+    return b"\x02" + body + bytes((bcc(body),))
 
 
 def test_the_repetition_of_a_read_uses_the_other_addressing_form() -> None:
@@ -119,3 +126,66 @@ def test_a_feed_that_may_not_be_said_yet_does_not_stop_the_line() -> None:
         assert ended.outcome is Outcome.DONE
 
     with_rig(test, retries=0, options=WorkerOptions(late_answer_s=5.0))
+
+
+def test_an_answer_that_a_device_server_kept_while_it_was_away_is_not_the_next_drive_s() -> None:
+    """It is delivered after the next connection, which may be long after `late_answer`."""
+
+    async def test(rig: Rig) -> None:
+        rig.line.drive_faults[1] = Faults(lost=1.0)
+        asked = rig.read("a", 150)
+        await anyio.sleep(0.005)
+        rig.end.unplug()
+        await asked.done.wait()
+        await anyio.sleep(3.0)
+        rig.end.replug()
+        await until(lambda: rig.worker.is_open)
+        rig.line.drive_faults[2] = Faults(lost=1.0)
+        sent = len(rig.sent)
+        other = rig.read("b", 150)
+        await until(lambda: len(rig.sent) > sent)
+        assert rig.sent[-1].data == b"\x0402!009600\x05", "not in the form of the lost answer"
+        await anyio.sleep(0.02)
+        rig.end.say(answer(b"?0", b"H1234"))
+        await other.done.wait()
+        assert other.outcome is Outcome.UNKNOWN, "what came was the first drive's"
+
+    with_rig(test, retries=0)
+
+
+def test_an_acknowledgement_kept_by_a_device_server_is_not_the_next_write_s() -> None:
+    async def test(rig: Rig) -> None:
+        rig.line.drive_faults[1] = Faults(lost=1.0)
+        first = rig.write("a", 12, "7")
+        await anyio.sleep(0.015)
+        rig.end.unplug()
+        await first.done.wait()
+        await anyio.sleep(3.0)
+        rig.end.replug()
+        await until(lambda: rig.worker.is_open)
+        opened_s = rig.seen.line[-1][0]
+        rig.line.drive_faults[2] = Faults(unheard=1.0)
+        second = rig.write("b", 12, "8")
+        await anyio.sleep(0.08)
+        rig.end.say(b"\x06")
+        await second.done.wait()
+        assert second.outcome is Outcome.UNKNOWN, "the drive heard nothing"
+        writes = [one for one in rig.sent if one.data[:4] == b"\x0402\x02"]
+        assert writes[0].at_s >= opened_s + 0.5
+
+    with_rig(test, retries=0)
+
+
+def test_what_could_no_longer_come_when_the_port_was_lost_holds_nothing_up_afterwards() -> None:
+    late = PendingLateAnswers(0.5)
+    late.add(b"?0", 10.0)
+    late.port_lost(10.6)
+    late.port_opened(10.7)
+    assert late.blocked_until_s(b"?0", 10.7) <= 10.7
+    assert not late.nak_may_come(10.7)
+    late.add(b"?0", 11.0)
+    late.port_lost(11.1)
+    late.port_opened(15.0)
+    assert late.blocked_until_s(b"?0", 15.4) == 15.5
+    assert late.nak_may_come(15.4)
+    assert late.sole(b"?0", 15.4) is None

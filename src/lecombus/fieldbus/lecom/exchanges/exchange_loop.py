@@ -232,6 +232,7 @@ class LecomExchangeLoop:
         self.exchange = Exchange(parity=port.carries_parity, echo=self._options.echo)
         self._preparer.opened(parity=port.carries_parity)
         self._stall.opened()
+        self._late_answers.port_opened(loop.time())
         self._idle_receive.opened(loop.time(), parity=port.carries_parity)
         self._ended = ended = loop.create_future()
         self._wake()
@@ -333,6 +334,7 @@ class LecomExchangeLoop:
             self._say(request, now)
             if self.under_way is not None:
                 return
+        self._late_answers.port_lost(self._time())
         self._publish()
         if self._ended is not None and not self._ended.done():
             self._ended.set_result(None)

@@ -11,6 +11,9 @@ every exchange that ended without its answer, the answer it would have had may s
   immediately, but its acknowledgement is then not trusted;
 * a NAK is not taken for a read's answer while a NAK to anything else may still come.
 
+Time without a port does not count: a device server may hold an answer back while nobody is
+connected, and deliver it after the next connection.
+
 A second answer is not missing, and nothing waits for it. Where answers are delivered twice, or two
 drives have one address, it comes when another drive may have been asked for the same, and passes
 for its own. It is only known that such answers come, and how long ago another drive was asked for
@@ -101,6 +104,20 @@ class PendingLateAnswers:
         """Note that an answer came: an acknowledgement may be the old, late one."""
         if field == ACK_FIELD and self.blocked_until_s(field, now_s) > now_s:
             self.add(field, now_s)
+
+    def port_lost(self, now_s: float) -> None:
+        """Keep all that may still come until a port is open again."""
+        if self.any(now_s):
+            self._until_s = dict.fromkeys(self._until_s, math.inf)
+        if self.nak_may_come(now_s):
+            self._nak_until_s = math.inf
+        self._asked.clear()  # how late they come then says nothing about a drive
+
+    def port_opened(self, now_s: float) -> None:
+        """Begin the time of what was kept since the port was lost."""
+        until_s = now_s + self.window_s
+        self._until_s = {field: min(at_s, until_s) for field, at_s in self._until_s.items()}
+        self._nak_until_s = min(self._nak_until_s, until_s)
 
     def any(self, now_s: float) -> bool:
         """Say whether any answer may still come; those that no longer may are forgotten."""
