@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import anyio
+import pytest
 
+from lecombus.drives import family
+from lecombus.fieldbus.costs import LineTiming
+from lecombus.fieldbus.lecom.exchanges.jobs import ReadJob
 from lecombus.fieldbus.lecom.exchanges.late_answers import PendingLateAnswers
 from lecombus.fieldbus.lecom.protocol.controls import bcc
+from lecombus.fieldbus.lecom.request_maker import LecomRequestMaker
 from lecombus.fieldbus.lecom.simulator.faults import Faults
+from lecombus.fieldbus.requests import Station
 from lecombus.line.worker import WorkerOptions
 from lecombus.schedule import Outcome, Priority, WatchdogFeeding
-from support.site_host import Rig, reader, stop, until, with_rig
+from support.rosters import make_roster
+from support.site_host import Plant, Rig, reader, stop, until, with_plant, with_rig
 
 STOP_A = b"\x0401\x02400\x03"
 """C0040 = 0 to drive 1, without its block check."""
@@ -189,3 +196,39 @@ def test_what_could_no_longer_come_when_the_port_was_lost_holds_nothing_up_after
     assert late.blocked_until_s(b"?0", 15.4) == 15.5
     assert late.nak_may_come(15.4)
     assert late.sole(b"?0", 15.4) is None
+
+
+def test_a_long_late_answer_and_absent_drives_leave_codes_to_feed_the_others_with() -> None:
+    """Six lost answers, each of another drive, are all that C0150, C0068 and C0135 have."""
+    drives = [(f"d{address}", address, "93xx") for address in (*range(1, 5), *range(11, 19))]
+    roster = make_roster(
+        drives, baud=9600, line="late_answer: 10s, adapter_latency: 16ms",
+        watchdog="{time: 3s, action: inhibit, configure: yes}",
+    )  # fmt: skip
+
+    async def test(plant: Plant) -> None:
+        for drive in plant.line.drives[4:]:
+            drive.present = False
+        await anyio.sleep(20.0)
+        plant.line.advance(plant.now_s)
+        assert [drive.watchdog_fired for drive in plant.line.drives[:4]] == [0, 0, 0, 0]
+
+    with_plant(test, roster)
+
+
+@pytest.mark.parametrize("name", ["820x", "821x", "8200vector", "93xx", "smvector"])
+def test_what_feeds_a_drive_at_last_is_no_password_and_none_of_the_module_s_slow_codes(
+    name: str,
+) -> None:
+    described = family(name)
+    station = Station("a", 1, described, described.forms)
+    maker = LecomRequestMaker(LineTiming(9600), 2, lambda priority, outcome: None)
+    status = tuple(code for code, _ in described.status)
+    job = maker.feed(station, status).work
+    assert isinstance(job, ReadJob)
+    assert job.instead[: len(status)] == status
+    further = job.instead[len(status) :]
+    assert len(further) == 16
+    assert not {code.number for code in further} & {94, 1194}
+    slowest_s = max(described.longest_answer_time_s(code, write=False) for code in status)
+    assert all(described.longest_answer_time_s(code, write=False) <= slowest_s for code in further)

@@ -11,9 +11,10 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Final, NamedTuple
 
-from lecombus.drives import StopAction, stop_steps
+from lecombus.drives import Family, StopAction, stop_steps
 from lecombus.drives.measured import SlowAnswers
 from lecombus.drives.stops import STOP_PATIENCE_S, asks_to_stop
 from lecombus.errors import OperationError
@@ -26,7 +27,7 @@ from lecombus.fieldbus.lecom.exchanges.stop_job import LongestTimes, StopJob
 from lecombus.fieldbus.lecom.protocol.telegrams import ACK_CHARS, write_request_chars
 from lecombus.fieldbus.lecom.telegram_costs import read_cost, write_cost
 from lecombus.fieldbus.requests import Station
-from lecombus.parameters import AddressForm, Code, Value
+from lecombus.parameters import AddressForm, Code, Format, Value
 from lecombus.schedule import Outcome, Priority, Request, Settle, ignore_end
 from lecombus.schedule.fan_out import Part
 
@@ -125,9 +126,11 @@ class LecomRequestMaker:
     def feed(self, station: Station, instead: tuple[Code, ...]) -> Request:
         """Make the read that feeds a watchdog, reckoned with in the longest form it may be said in.
 
-        Behind a lost answer it is said in the other form, and must be in time then, too.
+        Behind a lost answer it is said in the other form, and must be in time then, too. Where late
+        answers may still come in all forms of all codes of `instead`, others of the drive feed it.
         """
         code = station.family.feed_code
+        instead = (*instead, *_further_codes(station.family, instead))
         request = self.read(station, code, Priority.WATCHDOG, retries=0, instead=instead)
         kept, slow = self._feed_costs.get(station), station.measured.slow
         if kept is None or kept.slow is not slow:
@@ -382,6 +385,29 @@ class LecomRequestMaker:
             return self.read(quiet, code, Priority.CYCLIC, retries=0)
 
         return make
+
+
+MOST_FURTHER: Final = 16
+"""So many further codes feed a drive: each is two answers that can be told apart."""
+
+
+@lru_cache(maxsize=64)
+def _further_codes(of: Family, first: tuple[Code, ...]) -> tuple[Code, ...]:
+    """Give codes that feed a drive where none of the first ones may be read, the shortest first.
+
+    None is answered later than the slowest of those.
+    """
+    known_s = max(of.longest_answer_time_s(code, write=False) for code in (of.feed_code, *first))
+    found = [
+        (info.chars, code)
+        for code, info in of.codes.items()
+        if info.format in (Format.VH, Format.VD)
+        and code not in (of.feed_code, *first)
+        and not code.subcode
+        and not info.secret
+        and of.longest_answer_time_s(code, write=False) <= known_s
+    ]
+    return tuple(code for _, code in sorted(found)[:MOST_FURTHER])
 
 
 def form_of(station: Station, code: Code) -> AddressForm:
