@@ -108,7 +108,7 @@ def test_an_acknowledgement_believed_by_a_stop_leaves_the_doubt_alive() -> None:
 
 def test_a_late_answer_frees_its_code_for_everybody() -> None:
     async def test(rig: Rig) -> None:
-        rig.line.drive_faults[1] = Faults(late=1.0, late_s=(0.15, 0.15))
+        rig.line.drive_faults[1] = Faults(late=1.0, late_s=(0.125, 0.125))
         await rig.read("a", 150).done.wait()
         await until(lambda: any(late for _, late in rig.seen.strays))
         said = len(rig.sent)
@@ -232,3 +232,17 @@ def test_what_feeds_a_drive_at_last_is_no_password_and_none_of_the_module_s_slow
     assert not {code.number for code in further} & {94, 1194}
     slowest_s = max(described.longest_answer_time_s(code, write=False) for code in status)
     assert all(described.longest_answer_time_s(code, write=False) <= slowest_s for code in further)
+
+
+def test_behind_a_late_answer_the_turnaround_is_kept() -> None:
+    async def test(rig: Rig) -> None:
+        rig.line.drive_faults[1] = Faults(late=1.0, late_s=(0.125, 0.125))
+        rig.read("a", 150)
+        await rig.read("b", 150).done.wait()
+        late_s = rig.seen.reports[0].result.ended_s
+        came_s = [one.at_s for one in rig.end.heard if one.at_s > late_s]
+        first_b = next(one for one in rig.sent if one.data[:3] == b"\x0402")
+        ended_s = max(at_s for at_s in came_s if at_s < first_b.at_s)
+        assert first_b.at_s >= ended_s + 0.1 - 1e-9
+
+    with_rig(test, retries=0, options=WorkerOptions(turnaround_s=0.1))

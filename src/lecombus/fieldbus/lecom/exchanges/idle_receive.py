@@ -71,12 +71,13 @@ class BusIdleTimer:
         turnaround_s: Least pause between the end of an answer and the next telegram, seconds.
 
     Attributes:
+        turnaround_s: As given.
         free_at_s: End of the turnaround; nothing is sent before it.
         quiet_until_s: End of the quarantine; only a stop is sent before it.
     """
 
     def __init__(self, turnaround_s: float) -> None:
-        self._turnaround_s = turnaround_s
+        self.turnaround_s = turnaround_s
         self._chatter_ends_s = 0.0
         self._least_until_s = 0.0  # without extended listen
         self._heard_s = self._gave_up_s = -LONGEST_CHATTER_S
@@ -93,7 +94,7 @@ class BusIdleTimer:
 
     def exchange_ended(self, ended_s: float) -> None:
         """An exchange ended, with or without its answer."""
-        self.free_at_s = ended_s + self._turnaround_s
+        self.free_at_s = ended_s + self.turnaround_s
 
     def answer_missing(self, ended_s: float, quarantine_s: float) -> None:
         """It ended without its answer."""
@@ -333,6 +334,8 @@ class IdleReceive:
             self._end(now_s)
             self._over()
         over = late and not self._late_answers.any(now_s)
+        if late:  # it is the end of an answer, too
+            gap_s = max(gap_s, self._bus_idle.turnaround_s)
         self._bus_idle.heard(now_s, gap_s, none_is_late=over)
         if self._unsolicited.is_endless:
             self._unsolicited.begin()
