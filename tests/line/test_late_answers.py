@@ -246,3 +246,21 @@ def test_behind_a_late_answer_the_turnaround_is_kept() -> None:
         assert first_b.at_s >= ended_s + 0.1 - 1e-9
 
     with_rig(test, retries=0, options=WorkerOptions(turnaround_s=0.1))
+
+
+def test_what_an_adapter_held_from_before_the_daemon_s_start_is_dropped_for_as_long_as_it_may() -> (
+    None
+):
+    """A daemon that was killed had asked; its successor's connection gets the answer."""
+    roster = make_roster(
+        [("a", 1, "8200vector")], line="adapter_latency: 100ms", drive="cyclic: []"
+    )
+
+    async def test(plant: Plant) -> None:
+        plant.line.drives[0].present = False
+        await anyio.sleep(0.1)
+        plant.end.say(answer(b"?0", b"H1234"))
+        await anyio.sleep(1.0)
+        assert all(report.result.answer is None for report in plant.reports)
+
+    with_plant(test, roster)

@@ -200,6 +200,7 @@ class LecomExchangeLoop:
         self.duplicates = Duplicates()
         self.second_answers = self.duplicates.found
         late_s = options.late_answer_s if options.quarantine else 0.0
+        self._latency_s = timing.adapter_latency_s
         self._late_answers = PendingLateAnswers(late_s)
         self._preparer = TelegramPreparer(timing, self._late_answers)
         self.exchange = Exchange(parity=True, echo=options.echo)
@@ -233,7 +234,7 @@ class LecomExchangeLoop:
         self._preparer.opened(parity=port.carries_parity)
         self._stall.opened()
         self._late_answers.port_opened(loop.time())
-        self._idle_receive.opened(loop.time(), parity=port.carries_parity)
+        self._idle_receive.opened(loop.time(), self._latency_s, parity=port.carries_parity)
         self._ended = ended = loop.create_future()
         self._wake()
         return ended

@@ -58,7 +58,8 @@ from lecombus.schedule.shares import LISTEN_EVERY_S, LISTEN_S
 __all__ = ["BusIdleTimer", "ExtendedListen", "IdleReceive", "UnsolicitedBytes"]
 
 AFTER_OPEN_S = 0.05
-"""Quarantine after opening a port, seconds: bytes that an adapter had buffered are dropped."""
+"""Least quarantine after opening a port, seconds: bytes that an adapter had buffered are dropped.
+Where the adapter may take longer it is twice its latency: to the server and back."""
 
 LONGEST_CHATTER_S = 1.0
 """Limit of the delay by unsolicited bytes, seconds; longer than any late answer."""
@@ -88,9 +89,9 @@ class BusIdleTimer:
         """Whether there is no quarantine; the turnaround may still run."""
         return now_s >= self.quiet_until_s
 
-    def opened(self, now_s: float) -> None:
-        """A port was opened."""
-        self._quarantine(now_s, AFTER_OPEN_S)
+    def opened(self, now_s: float, latency_s: float) -> None:
+        """A port was opened; its adapter may add so much to an answer."""
+        self._quarantine(now_s, max(AFTER_OPEN_S, 2.0 * latency_s))
 
     def exchange_ended(self, ended_s: float) -> None:
         """An exchange ended, with or without its answer."""
@@ -319,11 +320,11 @@ class IdleReceive:
         """Whether an answer is listened for: `quiet_until_s` must be asked before the next word."""
         return self._awaited is not None
 
-    def opened(self, now_s: float, *, parity: bool) -> None:
+    def opened(self, now_s: float, latency_s: float, *, parity: bool) -> None:
         """A port was opened; bytes carry even parity in bit 7 if `parity`."""
         self._awaited = None
         self._unsolicited.opened(parity=parity)
-        self._bus_idle.opened(now_s)
+        self._bus_idle.opened(now_s, latency_s)
 
     def unsolicited(self, data: bytes, now_s: float, gap_s: float) -> bool:
         """Process unsolicited bytes; return whether they completed a late answer."""
