@@ -321,3 +321,20 @@ def test_drives_taken_out_while_they_wait_for_their_audit_harm_nobody() -> None:
         await plant.online(within_s=120.0)
 
     with_plant(test, roster_text(drives, watchdog=GUARD))
+
+
+def test_a_line_that_waits_for_a_very_slow_drive_is_not_stuck() -> None:
+    """systemd ends a daemon whose line task is."""
+
+    async def test(plant: Plant) -> None:
+        plant.line.faults.absent = {12}
+        worker = plant.site.worker
+        progress, since_s = (0, 0), plant.now_s
+        while plant.now_s < since_s + 1.0 or not plant.site.tried_all():
+            now = (worker.exchanges, worker.rests)
+            if now != progress:
+                progress, since_s = now, plant.now_s
+            assert plant.now_s - since_s <= plant.site.longest_exchange_s
+            await anyio.sleep(0.1)
+
+    with_plant(test, roster_text(AB, drive="answer_time: 10s"))

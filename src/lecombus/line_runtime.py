@@ -23,6 +23,7 @@ from lecombus.config import (
 )
 from lecombus.drive_state.drive_runtime import LineDrives
 from lecombus.drive_state.store import Store
+from lecombus.drives.family import ANSWER_FACTOR
 from lecombus.errors import ConfigError
 from lecombus.event_stream import EventStream
 from lecombus.fieldbus.costs import LineTiming
@@ -41,7 +42,8 @@ from lecombus.supervision.line_supervision import LineSupervision
 __all__ = ["LineRuntime"]
 
 STUCK_S = 6.0
-"""Longer than any exchange (at 1200 baud about 4 s) and than the pause before a reopening (5 s)."""
+"""Longer than any exchange (at 1200 baud about 4 s) and than the pause before a reopening (5 s), if
+no drive is waited for longer because the roster says so (`answer_time`)."""
 
 ECHO = {"auto": None, "yes": True, "no": False}
 
@@ -138,7 +140,8 @@ class LineRuntime:
     @property
     def longest_exchange_s(self) -> float:
         """A line task without progress for this long is stuck, seconds."""
-        return STUCK_S
+        slowest_s = max((drive.answer_time_s or 0.0 for drive in self.roster.drives), default=0.0)
+        return STUCK_S + ANSWER_FACTOR * slowest_s
 
     def _snapshot(self) -> LineSnapshot:
         """Return what the metrics show of the line at this moment."""
