@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import anyio
 import pytest
 
@@ -12,6 +14,7 @@ from lecombus.fieldbus.lecom.exchanges.late_answers import PendingLateAnswers
 from lecombus.fieldbus.lecom.protocol.controls import bcc
 from lecombus.fieldbus.lecom.request_maker import LecomRequestMaker
 from lecombus.fieldbus.lecom.simulator.faults import Faults
+from lecombus.fieldbus.lecom.simulator.receiver import ReceivedRequest
 from lecombus.fieldbus.requests import Station
 from lecombus.line.worker import WorkerOptions
 from lecombus.schedule import Outcome, Priority, WatchdogFeeding
@@ -262,5 +265,45 @@ def test_what_an_adapter_held_from_before_the_daemon_s_start_is_dropped_for_as_l
         plant.end.say(answer(b"?0", b"H1234"))
         await anyio.sleep(1.0)
         assert all(report.result.answer is None for report in plant.reports)
+
+    with_plant(test, roster)
+
+
+@pytest.mark.parametrize(
+    ("baud", "tolerate", "late", "latency", "time_ms"),
+    [(19200, 3, "500ms", "0ms", 528), (9600, 3, "1s", "0ms", 609), (9600, 1, "5s", "16ms", 419)],
+)
+def test_answers_that_are_lost_as_tolerated_leave_standard_addressing_codes_to_feed_with(
+    baud: int, tolerate: int, late: str, latency: str, time_ms: int
+) -> None:
+    """The least watchdog times that `check` takes, and bursts of as many lost answers as it says.
+
+    There is one form only: each lost answer holds back one of three status codes.
+    """
+    roster = make_roster(
+        [("a", 1, "93xx"), ("b", 2, "93xx")], baud=baud, drive="addressing: standard",
+        line=f"adapter_latency: {latency}, tolerate: {tolerate}, late_answer: {late}",
+        watchdog=f"{{time: {time_ms}ms, action: inhibit, configure: yes}}",
+    )  # fmt: skip
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        left, next_s = 0, plant.now_s + 1.0
+
+        def heard(at_s: float, _request: ReceivedRequest) -> None:
+            nonlocal left, next_s
+            if at_s >= next_s:
+                left, next_s = tolerate, math.inf
+            plant.line.faults.lost = 1.0 if left else 0.0
+            if left:
+                left -= 1
+                if not left:
+                    next_s = at_s + time_ms / 1000 + 0.3
+
+        fired = [drive.watchdog_fired for drive in plant.line.drives]
+        plant.line.on_request = heard
+        await anyio.sleep(30.0)
+        plant.line.advance(plant.now_s)
+        assert [drive.watchdog_fired for drive in plant.line.drives] == fired
 
     with_plant(test, roster)
