@@ -312,6 +312,26 @@ def test_a_host_that_does_not_answer_is_given_up_in_time(monkeypatch: pytest.Mon
     assert "no answer within 0.1 s; check host and network" in message
 
 
+def test_an_address_of_a_host_that_does_not_answer_does_not_keep_it_from_its_other_one(
+    server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A name with an IPv6 address that leads nowhere, and an IPv4 address that is right."""
+    with socket.socket() as full, socket.socket() as queued:
+        full.bind(("127.0.0.1", 0))
+        full.listen(0)
+        queued.connect(full.getsockname())
+        places = (full.getsockname(), ("127.0.0.1", server.number))
+        found = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", place) for place in places]
+        monkeypatch.setattr(socket, "getaddrinfo", lambda *_args, **_kwargs: found)
+        server.url = "socket://server:4001"
+
+        async def body(port: TcpPort, recorder: Heard) -> None:
+            port.write(b"\x04")
+            assert await server.take(1) == b"\x04"
+
+        with_port(server, body)
+
+
 def test_a_host_without_an_address_says_so() -> None:
     assert "cannot be resolved" in refused("socket://no-such-host.invalid:4001")
 

@@ -24,6 +24,10 @@ __all__ = ["CONNECT_TIMEOUT_S", "TcpPort", "host_and_port", "open_tcp"]
 CONNECT_TIMEOUT_S = 3.0
 """A device server on the same site answers in milliseconds; resolving its name may take longer."""
 
+_NEXT_ADDRESS_S = 0.5
+"""After so long the next address of a name is tried as well: one that leads nowhere, such as of
+IPv6 in a network without it, would use up the time of all."""
+
 _KEEPALIVE_IDLE_S = 3
 _KEEPALIVE_EVERY_S = 1
 _KEEPALIVE_PROBES = 3
@@ -160,7 +164,9 @@ async def open_tcp(settings: PortSettings, receiver: Receiver) -> TcpPort:
     try:
         host, number = host_and_port(settings.url)
         with anyio.fail_after(CONNECT_TIMEOUT_S):
-            await loop.create_connection(lambda: port, host, number)
+            await loop.create_connection(
+                lambda: port, host, number, happy_eyeballs_delay=_NEXT_ADDRESS_S
+            )
     except (OSError, ValueError) as exc:  # a time-out is an OSError
         raise settings.error(_why_not_open(exc)) from exc
     port.begin()
