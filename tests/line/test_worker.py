@@ -262,6 +262,23 @@ def test_whether_the_line_echoes_is_found_out_anew_after_every_reopening(
     with_rig(test, retries=0)
 
 
+def test_a_line_that_echoes_only_from_some_time_on_is_found_out_without_a_reopening() -> None:
+    """Another converter behind a device server, or a first telegram whose echo was lost."""
+
+    async def test(rig: Rig) -> None:
+        first = rig.read("a", 150)
+        await first.done.wait()
+        rig.line.faults.echo = True
+        second = rig.read("a", 50)
+        await second.done.wait()
+        write = rig.write("b", 12, "7")
+        await write.done.wait()
+        outcomes = (first.outcome, second.outcome, write.outcome)
+        assert outcomes == (Outcome.DONE, Outcome.DONE, Outcome.DONE)
+
+    with_rig(test, retries=0)
+
+
 def test_a_stray_eot_does_not_make_the_line_an_echoing_one() -> None:
     async def test(rig: Rig) -> None:
         rig.line.drive_faults[1] = Faults(lost=1.0)

@@ -19,7 +19,8 @@ Between the two the exchange is in one phase::
     FOREIGN  swallowed; after a pause: WAIT                    GARBLED, or ECHO if remembered
 
 PROBE is how `echo: auto` finds out: the host's telegrams begin with EOT and no answer does, so
-the first byte that returns shows it; it is kept only when the whole echo has come. What cannot
+the first byte that returns shows it; it is kept only when the whole echo has come. A line that did
+not echo so far may begin to, so it is found out again in each exchange. What cannot
 be this exchange's answer is never handed up. A NAK to a read is one (CMVLC401A 6.1, and devices
 of other makers), but a single byte is easily made by noise: it counts when a pause follows it.
 After a bad answer the exchange goes on listening
@@ -152,6 +153,7 @@ class Exchange:
 
     def __init__(self, *, parity: bool, echo: bool | None = None) -> None:
         self._parser = AnswerParser(parity=parity)
+        self._finds_out = echo is None
         self.echo: bool | None = echo
         self._phase = _WAIT
         self._ask = Ask(b"", b"", 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -194,10 +196,10 @@ class Exchange:
         if self._kept:
             self._kept.clear()
         self._parser.reset()
-        if self.echo is None:
-            self._phase = _PROBE
+        if self.echo:
+            self._phase = _ECHO
         else:
-            self._phase = _ECHO if self.echo else _WAIT
+            self._phase = _PROBE if self._finds_out else _WAIT
 
     def feed(self, data: bytes, now_s: float, quiet_s: float | None = None) -> Result | None:
         """Take bytes that arrived.
