@@ -216,3 +216,41 @@ def test_a_drive_may_get_the_name_of_a_group_that_leaves_the_roster() -> None:
         assert not any(line.startswith('"multicast"') for line in counts)
 
     with_plant(test, with_group("pair"))
+
+
+def test_a_trip_that_ended_over_a_reload_is_shown_no_more() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.trip("a", 50)
+        await until(lambda: plant.site.store.drive("a").fault is not None)
+        plant.line.faults.absent = {11}
+        await until(lambda: plant.state("a") is DriveState.OFFLINE)
+        plant.power_cycle("a")
+        plant.apply(roster(EVERY_2_S, more=", answer_time: 30ms"))
+        plant.line.faults.absent = set()
+        await plant.online()
+        await anyio.sleep(10.0)
+        info = plant.site.store.drive("a")
+        assert info.fault is None
+        assert "fault" not in info.remarks
+        assert "trip" not in [one.name for one in plant.site.store.motion("a").stops]
+
+    with_plant(test, BEFORE)
+
+
+def test_a_trip_that_lasts_over_a_reload_is_the_same_trip() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.trip("a", 50)
+        await until(lambda: plant.site.store.drive("a").fault is not None)
+        await anyio.sleep(5.0)
+        before = plant.site.store.drive("a").fault
+        assert before is not None
+        plant.apply(roster(EVERY_2_S, more=", answer_time: 30ms"))
+        await plant.online()
+        await anyio.sleep(10.0)
+        after = plant.site.store.drive("a").fault
+        assert after is not None
+        assert (after.since_s, after.number) == (before.since_s, 50)
+
+    with_plant(test, BEFORE)

@@ -346,6 +346,7 @@ class Drive:
         self._clock = clock
         self.lasting = lasting or LastingRecord()
         self.enable = EnableRecord()
+        self.fault = FaultRecord()
         self.entry = entry
         self.home = entry.address
         """The address that the roster's file gives it (`operations.readdress`)."""
@@ -357,14 +358,18 @@ class Drive:
         self.begin(entry, station)
 
     def begin(self, entry: DriveEntry, station: Station) -> None:
-        """Start with an entry: nothing is known of the device yet that answers there."""
+        """Start with an entry: nothing is known of the device yet that answers there.
+
+        The fault stays with the values, in the store too: while address and family do. Only a word
+        that is read shows its end.
+        """
         if (self.entry.address, self.entry.family) != (entry.address, entry.family):
             self.enable = EnableRecord()
+            self.fault = FaultRecord()
         self.entry = entry
         self.station = station
         """Changed by `drive_changes`, `write_prechecks` and `line_requests`."""
         self.health = HealthRecord()
-        self.fault = FaultRecord()
         self.identity = IdentityRecord()
         self.speed = SpeedRecord()
         self.configuration = ConfigurationRecord(station.family)
