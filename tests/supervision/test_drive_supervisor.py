@@ -287,6 +287,28 @@ def test_a_drive_that_stays_away_when_a_flapping_line_is_back_is_told(
         with_plant(test, roster_text(FIVE, watchdog=GUARD))
 
 
+def test_a_module_that_loses_its_supply_while_its_audit_waits_for_others_is_armed() -> None:
+    """It is back too soon to be offline, and it was looked at before."""
+
+    async def test(plant: Plant) -> None:
+        drive, health = plant.line["a"], plant.site.drives.get("a").health
+        drive.model.preset(1922, "2")
+        drive.model.preset(1923, "5000")
+        await until(lambda: any(one.code == 1922 for one in drive.log))
+        await anyio.sleep(0.1)
+        plant.power_cycle("a", 0.0)
+        plant.line.faults.absent = {11}
+        await until(lambda: health.misses >= 2)
+        plant.line.faults.absent = set()
+        await plant.online("a")
+        assert DriveState.OFFLINE not in (health.state, health.logged)
+        assert drive.model.watchdog_setting() == (5.0, 2)
+
+    drives = [(name, 11 + place, "8200vector") for place, name in enumerate("abcdef")]
+    guard = "{time: 5s, action: quick-stop, configure: true}"
+    with_plant(test, roster_text(drives, watchdog=guard))
+
+
 def test_an_audit_asked_for_while_the_rest_is_learnt_is_not_forgotten() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()

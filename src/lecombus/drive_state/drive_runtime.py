@@ -285,7 +285,7 @@ class LastingRecord:
     """What counts for the drive of this name with any entry, also when it comes back later.
 
     Changed by `awaited_requests`, `stop_conditions`, `verb_steps`, `wear`, `writes` and
-    `group_writes` of `operations`.
+    `group_writes` of `operations`, and by `supervision.health`.
 
     Args:
         stops: How often a stop was sent to it, for work of several steps: what is not in the
@@ -300,6 +300,8 @@ class LastingRecord:
         awaited: What verbs wait for and a stop cuts short (`operations.verb_steps`).
         full_at_s: By code that is stored at every write: when its limit of writes is back at a
             whole burst, monotonic seconds (`operations.wear`).
+        restarted_s: When it may last have restarted: it answered again, or was found to be other
+            than it was, monotonic seconds.
     """
 
     stops: int = 0
@@ -311,6 +313,7 @@ class LastingRecord:
     verb: Verb | None = None
     awaited: set[anyio.CancelScope] = field(default_factory=set)
     full_at_s: dict[Code, float] = field(default_factory=dict)
+    restarted_s: float = -math.inf
 
     def count_stop(self) -> None:
         """Count a stop, or a plain write that means one, and end what verbs wait for."""
@@ -388,6 +391,11 @@ class Drive:
     def family(self) -> Family:
         """Its family, as its signal configuration makes it."""
         return self.station.family
+
+    def may_have_restarted(self) -> None:
+        """Forget its control word, and note when: it may have lost its supply."""
+        self.control_word.forget()
+        self.lasting.restarted_s = self._clock()
 
     @property
     def watchdog_quick_stops(self) -> bool:

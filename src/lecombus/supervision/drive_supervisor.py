@@ -29,6 +29,7 @@ from lecombus.drive_state.drive_runtime import Drive, RunningAudit
 from lecombus.drive_state.motion import learnt_setpoint
 from lecombus.drive_state.readings import DriveState
 from lecombus.drive_state.store import Store
+from lecombus.drives import WatchdogTraits
 from lecombus.errors import LecombusError, RefusedError
 from lecombus.fieldbus.requests import Station
 from lecombus.operations.awaited_requests import Requests, is_of_the_line
@@ -44,6 +45,10 @@ logger = logging.getLogger(__name__)
 
 FIRST_RETRY_S = 1.0
 LONGEST_RETRY_S = 30.0
+
+SETTLED_MOST = 3
+"""So often a watchdog is put in order in one audit, where its drive is silent for a while each
+time; `Rechecks` finds one that was lost all the same."""
 
 SLOW_S = 0.1
 """Audits of modules whose own codes take longer than this to read are made one after the other."""
@@ -181,7 +186,7 @@ class DriveSupervisor:
         """
         station = self._requests.station(drive.name)
         traits = station.family.watchdog if drive.entry.watchdog is not None else None
-        action = None
+        action, looked_s = None, 0.0
         async with turn:
             station = await self._prechecks.check_addressing(drive, station)
             await self._learn_words(station)
@@ -190,10 +195,40 @@ class DriveSupervisor:
             if gate is not None:
                 await self._prechecks.check_software(drive, station, gate, known.get(gate.code))
             if traits is not None:
+                looked_s = self._clock()
                 action = await self._watchdogs.look(drive, station, traits)
         if action is not None and traits is not None:
             async with turn:
-                await self._watchdogs.settle(drive, station, traits, action)
+                await self._settle(drive, station, traits, action, looked_s)
+
+    async def _settle(
+        self,
+        drive: Drive,
+        station: Station,
+        traits: WatchdogTraits,
+        action: int | None,
+        looked_s: float,
+    ) -> None:
+        """Put a watchdog in order, by what it does now.
+
+        A module that lost its supply since it was looked at has its action back at 0.
+
+        Args:
+            drive: The drive.
+            station: How it is spoken to.
+            traits: How its watchdog is set.
+            action: What its watchdog did when it was looked at; None: that cannot be seen.
+            looked_s: When that began, monotonic seconds.
+        """
+        for _ in range(SETTLED_MOST):
+            if drive.lasting.restarted_s >= looked_s:
+                looked_s = self._clock()
+                action = await self._watchdogs.look(drive, station, traits)
+            if action is None:
+                return
+            await self._watchdogs.settle(drive, station, traits, action)
+            if drive.lasting.restarted_s < looked_s:
+                return
 
     async def _learn_words(self, station: Station) -> None:
         """Read the control word, and before it the code that decides what its bits mean.

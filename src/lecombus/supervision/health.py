@@ -71,7 +71,7 @@ class AuditQueue:
 
         Its control word is not known any more: it may have restarted.
         """
-        drive.control_word.forget()
+        drive.may_have_restarted()
         if drive.audit.running is not None:
             drive.audit.again = True
             drive.audit.running.asked_again.set()
@@ -273,6 +273,8 @@ class Health:
                 if not health.audit_due:
                     health.audit_due, health.due_from_s = True, self._clock()
                 self.audits.ask(drive)
+        elif health.state is DriveState.STARTING and misses >= AUDIT_AFTER:
+            drive.may_have_restarted()  # its audit looks at this
 
     def _log_held_back(self, heard: Drive) -> None:
         """Log the drives that are offline: with the first one heard it is no longer all of them."""
