@@ -766,6 +766,64 @@ def test_a_latched_drive_that_comes_back_running_is_stopped_again() -> None:
     with_plant(test, roster(watchdog=""))
 
 
+async def miss_two_exchanges(plant: Plant) -> None:
+    """Keep a drive silent for so short a time that it is not offline."""
+    health = plant.site.drives.get("a").health
+    plant.line.faults.absent = {11}
+    await until(lambda: health.misses >= 2)
+    plant.line.faults.absent = set()
+
+
+@pytest.mark.parametrize(
+    ("kind", "policy"),
+    [
+        *((kind, "quick-stop") for kind in KINDS if kind != "smvector"),
+        ("8200vector", "inhibit"),
+        ("8200vector", "silence"),
+    ],
+)
+def test_a_latched_drive_that_runs_after_a_short_loss_of_its_supply_is_stopped_again(
+    kind: str, policy: str
+) -> None:
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as client:
+            if policy == "silence":  # given up in order while it stands, so that it is spoken to
+                await client.ops.stop(StopAction.INHIBIT, "a")
+                await anyio.sleep(5.0)
+                client.alive = False
+                client.ops.leases.release(client.name, client.token)
+            client.alive = False
+        await anyio.sleep(20.0)
+        assert standing(plant)
+        assert plant.state("a") is DriveState.ONLINE
+        await miss_two_exchanges(plant)
+        drive = plant.line["a"].model
+        drive.preset(135, "H0000")  # as after its mains came back
+        drive.preset(40, "1")
+        await anyio.sleep(40.0)
+        assert standing(plant)
+        assert latch(plant) is not None
+
+    with_plant(test, roster(kind, policy, watchdog=WATCHED if policy == "silence" else ""))
+
+
+@pytest.mark.parametrize("policy", ["quick-stop", "inhibit", "hold"])
+def test_a_latched_drive_that_only_missed_two_exchanges_is_left_alone(policy: str) -> None:
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as client:
+            client.alive = False
+        await anyio.sleep(20.0)
+        assert standing(plant) is (policy != "hold")
+        book = plant.site.operations.leases
+        ends: list[str] = []
+        book.followers += (lambda what, drives, fields: ends.append(what),)
+        await miss_two_exchanges(plant)
+        await anyio.sleep(20.0)
+        assert ends == []
+
+    with_plant(test, roster(policy=policy, watchdog=""))
+
+
 @pytest.mark.parametrize("end", ["taken over", "lapsed", "released"])
 @pytest.mark.parametrize("group", [False, True])
 def test_a_write_that_waits_is_not_sent_when_its_lease_has_ended(end: str, *, group: bool) -> None:

@@ -12,6 +12,7 @@ cyclic codes a drive keeps at most `ON_DEMAND_LIMIT` codes, the first asked for 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
@@ -386,8 +387,13 @@ class Store:
         """
         return self._judge.state(self._record(drive))
 
-    def motion(self, drive: str) -> Motion:
+    def motion(self, drive: str, *, since_s: float = -math.inf) -> Motion:
         """Return what a drive does with its motor, as far as that is known.
+
+        Args:
+            drive: The drive's name.
+            since_s: What was read before does not count, nor a fault shown before, monotonic
+                seconds.
 
         Raises:
             OperationError: `no-such-drive`.
@@ -402,7 +408,7 @@ class Store:
             if cell is None:
                 return None
             reading = self._judge.reading(record, cell, now_s)
-            if is_before_command(record, cell):
+            if is_before_command(record, cell) or cell.at_s < since_s:
                 return replace(reading, quality=Quality.BAD, reason=WRITTEN_SINCE)
             return reading
 
@@ -416,7 +422,8 @@ class Store:
             is_written = (record.quick_stop_taken_s or 0.0) > record.lapsed_s
             may_quick_stop = record.lapse_quick_stops and not is_written
             lapse = Lapse(max(0.0, now_s - record.lapsed_s), may_quick_stop=may_quick_stop)
-        return motion_of(record.family, record.fault, known, written, lapse)
+        fault = record.fault if since_s == -math.inf else None  # a word read since shows one too
+        return motion_of(record.family, fault, known, written, lapse)
 
     def drives(self) -> list[DriveInfo]:
         """Return how every drive is doing, in the order they were added."""

@@ -28,12 +28,12 @@ import anyio
 
 from lecombus.capacity.lease_bounds import stops_by_silence
 from lecombus.drive_state.drive_runtime import Drive
-from lecombus.drive_state.motion import Doing
+from lecombus.drive_state.motion import Doing, Motion
 from lecombus.drive_state.readings import DriveState
 from lecombus.drive_state.store import Store
 from lecombus.drives import StopAction
 from lecombus.errors import LecombusError
-from lecombus.leases import EndedLease, EndOfLease, Latch
+from lecombus.leases import DriveControl, EndedLease, EndOfLease, Latch
 from lecombus.metrics import LeaseFigures
 from lecombus.operations.awaited_requests import Requests
 from lecombus.operations.facade import Operations
@@ -94,6 +94,7 @@ class LeaseWatch:
         self._holding: set[str] = set()
         self._to_look_at: set[str] = set()
         self._online_s: dict[str, float] = {}
+        self._restarts: dict[str, float] = {}  # by drive: the restart that was looked at last
         self._leases.changed = self._changed.set
 
     async def run(self) -> None:
@@ -110,12 +111,15 @@ class LeaseWatch:
 
     def roster_changed(self) -> None:
         """Keep drives silent that a reload made begin again; forget those that left."""
-        for name in set(self._silenced) | self._holding | self._to_look_at:
+        names = (self._silenced, self._holding, self._to_look_at, self._restarts, self._online_s)
+        for name in {one for of in names for one in of}:
             drive = self._drives.find(name)
             if drive is None:
                 self._silenced.pop(name, None)
                 self._holding.discard(name)
                 self._to_look_at.discard(name)
+                self._restarts.pop(name, None)
+                self._online_s.pop(name, None)
             elif name in self._silenced and not drive.health.silenced:
                 self._health.silence(drive, self._silenced[name])
         self._remark()
@@ -157,16 +161,36 @@ class LeaseWatch:
             if control.latch is None:
                 self._to_look_at.discard(name)
                 self._holding.discard(name)
-            elif self._store.state(name) in AWAY:
+                continue
+            if self._is_back(name, control):
+                self._to_look_at.add(name)
+            if self._store.state(name) in AWAY:
                 self._online_s.pop(name, None)
                 if control.due_s is None and name not in self._silenced:
                     self._to_look_at.add(name)
+            elif self._drives.get(name).health.audit_due:
+                self._online_s.pop(name, None)
             elif name in self._to_look_at and not self._waits_for_words(name, now_s):
                 self._to_look_at.discard(name)
                 if not self._is_shown_stopped(name):
                     found.append(self._again(name, now_s))
         self._remark()
         return found
+
+    def _is_back(self, name: str, control: DriveControl) -> bool:
+        """Whether a drive may have restarted since it was stopped, or was last looked at.
+
+        A short loss of its supply makes a drive `degraded` and no more, and one that comes online
+        soon may have been away between two looks.
+        """
+        restarted_s = self._drives.get(name).lasting.restarted_s
+        if restarted_s == self._restarts.get(name):
+            return False
+        self._restarts[name] = restarted_s
+        self._online_s.pop(name, None)
+        is_new = control.ended is None or restarted_s > control.ended.at_s
+        is_open = control.due_s is None and name not in self._silenced
+        return is_new and is_open and name not in self._holding
 
     def _again(self, name: str, now_s: float) -> EndedLease:
         """Make the end to be carried out for a drive that runs and has no controller."""
@@ -180,14 +204,18 @@ class LeaseWatch:
         """Whether a drive's words are waited for; a stop of a drive that stands does no harm."""
         online_s = self._online_s.setdefault(name, now_s)
         policy = self._book.drives[name].terms.on_lapse
-        if policy in set(StopAction) or self._store.motion(name).doing is not Doing.UNKNOWN:
+        if policy in set(StopAction) or self._motion(name).doing is not Doing.UNKNOWN:
             return False
         return now_s - online_s < WORDS_S
 
     def _is_shown_stopped(self, name: str) -> bool:
         """Whether the drive's own words, as read of late, show that it does not drive its motor."""
-        motion = self._store.motion(name)
+        motion = self._motion(name)
         return motion.doing is Doing.STOPPED and not motion.stale
+
+    def _motion(self, name: str) -> Motion:
+        """Give what a drive does by what was read since it may have restarted."""
+        return self._store.motion(name, since_s=self._drives.lasting(name).restarted_s)
 
     def _end_silence(self, name: str) -> None:
         """Speak to a drive again once a lease is held for it and its watchdog has had its time."""
