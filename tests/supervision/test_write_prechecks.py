@@ -307,3 +307,16 @@ def test_a_seldom_asked_drive_that_was_swapped_between_two_failures_is_locked() 
 
     seldom = f"{WRITABLE}, cyclic: [{{code: C0150, every: 20s}}]"
     with_plant(test, roster_text(ONE, drive=seldom))
+
+
+def test_a_device_that_is_asked_no_more_who_it_is_may_be_written_to() -> None:
+    device = [("a", 11, "generic")]
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        assert "the roster says x" in lock(plant)
+        plant.apply(roster_text(device))
+        await plant.online()
+        assert lock(plant) == ""
+
+    with_plant(test, roster_text(device, drive="identity: {C0200: x}"))

@@ -139,7 +139,7 @@ class WritePrechecks:
         found = await self._read_identity(station, codes)
         doubtful = self._identities.differing(drive, found)
         found |= await self._read_all(station, doubtful)
-        if found:
+        if found or not codes:  # where nothing is asked for any more, nothing differs
             self._identities.judge(drive, found)
         return found
 
