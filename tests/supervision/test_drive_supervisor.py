@@ -123,8 +123,12 @@ def test_a_module_that_lost_its_settings_in_a_power_failure_is_armed_again() -> 
 
 
 @pytest.mark.parametrize("code", [1922, 1923])
-def test_a_drive_without_watchdog_codes_gets_a_remark_and_is_online(code: int) -> None:
+@pytest.mark.parametrize("nak", [False, True])
+def test_a_drive_without_watchdog_codes_gets_a_remark_and_is_online(
+    code: int, *, nak: bool
+) -> None:
     async def test(plant: Plant) -> None:
+        plant.line.faults.nak_reads = nak
         drop_code(plant, "a", code)
         await plant.online(within_s=20.0)
         assert "cannot be seen" in (remark(plant, "a") or "")
@@ -136,9 +140,13 @@ def test_a_drive_without_watchdog_codes_gets_a_remark_and_is_online(code: int) -
     with_plant(test, roster_text(ONE, watchdog=GUARD))
 
 
-@pytest.mark.parametrize("code", [135, 1921, 150])
-def test_a_drive_without_another_code_of_the_audit_comes_online_all_the_same(code: int) -> None:
+@pytest.mark.parametrize("code", [135, 249, 1811, 1921, 150])
+@pytest.mark.parametrize("nak", [False, True])
+def test_a_drive_without_another_code_of_the_audit_comes_online_all_the_same(
+    code: int, *, nak: bool
+) -> None:
     async def test(plant: Plant) -> None:
+        plant.line.faults.nak_reads = nak
         drop_code(plant, "a", code)
         await plant.online(within_s=20.0)
         assert plant.line["a"].model.watchdog_setting() == (2.0, 2)

@@ -55,6 +55,9 @@ asked for later: it ends what waited, as it would have stopped what was sent bef
 WRITE_TRIES: Final = 3
 """How often `write_to_the_end` writes."""
 
+NAK_READS: Final = 3
+"""A drive that refuses a code so often in a row does not have it: no noise makes that many NAKs."""
+
 IS_GONE: ContextVar[Callable[[], bool] | None] = ContextVar("IS_GONE", default=None)
 """Says whether the client that asked for what is being done has closed its connection; None: there
 is no such client."""
@@ -226,10 +229,28 @@ class Requests:
         found: dict[Code, Value] = {}
         for code in codes:
             with contextlib.suppress(UnknownCodeError):
-                found[code] = await self.read(
+                found[code] = await self.read_if_there(
                     station, code, Priority.INTERACTIVE, timeout_s=timeout_s
                 )
         return found
+
+    async def read_if_there(
+        self, station: Station, code: Code, priority: Priority, *, timeout_s: float = 10.0
+    ) -> Value:
+        """Read a code that the drive need not have; it may say so by NAK too (CMVLC401A 6.1).
+
+        Raises:
+            UnknownCodeError: It has no such code.
+            LecombusError: As for `read`; `NakError` never.
+        """
+        tries = 1
+        while True:
+            try:
+                return await self.read(station, code, priority, timeout_s=timeout_s)
+            except NakError as exc:
+                if tries >= NAK_READS:
+                    raise UnknownCodeError(str(exc), exc.record) from exc
+            tries += 1
 
     async def write(
         self,

@@ -237,7 +237,7 @@ class WatchdogAudit:
     async def _read(
         self, station: Station, code: Code, priority: Priority = Priority.INTERACTIVE
     ) -> Value:
-        return await self._requests.read(station, code, priority, timeout_s=PATIENCE_S)
+        return await self._requests.read_if_there(station, code, priority, timeout_s=PATIENCE_S)
 
     async def _write(self, station: Station, code: Code, value: float) -> bool:
         """Write and read back; what did not take shows when the setting is read again."""
