@@ -336,3 +336,50 @@ def test_a_fault_of_a_drive_that_is_silent_since_is_shown_as_stale() -> None:
         assert document["stale"] is True
 
     with_plant(test, roster_text(FAMILIES[:1]))
+
+
+ONLY_C0150 = "cyclic: [{code: C0150, every: 100ms}]"
+
+
+def test_a_trip_ends_also_where_its_other_word_follows_late_and_nothing_else_reads_it() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.trip("a", 50)
+        await until(lambda: plant.site.store.drive("a").fault is not None)
+        await anyio.sleep(5.0)
+        readers = plant.line["a"].model.readers
+        read = readers[68]
+        tripped = read(0)
+        plant.clear_fault("a")
+        plant.power_cycle("a", 0.0)
+        readers[68] = lambda subcode: tripped
+        await anyio.sleep(1.0)
+        readers[68] = read
+        await until(lambda: plant.site.store.drive("a").fault is None)
+
+    with_plant(test, roster_text(FAMILIES[:1], drive=ONLY_C0150))
+
+
+def test_a_number_that_stands_in_the_memory_late_is_found_where_nothing_else_reads_it() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        readers = plant.line["a"].model.readers
+        read = readers.get(161)
+        readers[161] = lambda subcode: "0"
+        plant.trip("a", 50)
+        await anyio.sleep(1.0)
+        found = plant.site.store.drive("a").fault
+        assert found is not None
+        assert found.number is None
+        if read is None:
+            del readers[161]
+        else:
+            readers[161] = read
+
+        def named() -> bool:
+            fault = plant.site.store.drive("a").fault
+            return fault is not None and fault.number == 50
+
+        await until(named)
+
+    with_plant(test, roster_text(FAMILIES[:1], drive=ONLY_C0150))

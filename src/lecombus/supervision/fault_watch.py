@@ -39,6 +39,10 @@ OPERATING_STATUS = Code(68)
 TRIES = 3
 """How often the memory is asked for the number of one fault besides its own slow turn."""
 
+SELDOM = 64
+"""After that, whether a fault is over, or which it is, is asked with each 64th reading of a
+status word."""
+
 RANK = {None: 0, FaultKind.WARNING: 1, FaultKind.MESSAGE: 2, FaultKind.TRIP: 3}
 
 
@@ -138,12 +142,13 @@ class FaultWatch:
     def _look_again(self, drive: Drive, family: Family) -> None:
         """One word shows no fault, others did when they were last read: read these again.
 
-        A few times only: a drive whose words contradict each other must not take the line always.
+        A few times, and seldom after that: a drive whose words contradict each other must not take
+        the line always, and the last of these may be read by nothing else.
         """
         fault = drive.fault
-        if fault.looks >= TRIES:
-            return
         fault.looks += 1
+        if fault.looks > TRIES and fault.looks % SELDOM:
+            return
         for code, shown in fault.shows.items():
             if shown is FaultKind.TRIP:
                 self._try_to_ask(drive, code, ignore_end)
@@ -187,16 +192,17 @@ class FaultWatch:
                 self._log(drive, family)
 
     def _ask_memory(self, drive: Drive, family: Family) -> None:
-        """Ask for the number a few times; then it is logged without one."""
+        """Ask for the number a few times; then it is logged without one, and asked for seldom."""
         fault = drive.fault
         table = family.fault_table
         if table is None or fault.asking:
             return
-        if fault.tries >= TRIES:
+        fault.tries += 1
+        if fault.tries > TRIES:
             if not fault.logged:
                 self._log(drive, family)
-            return
-        fault.tries += 1
+            if fault.tries % SELDOM:
+                return
 
         def end(outcome: Outcome, reason: str) -> None:
             fault.asking = False
