@@ -15,6 +15,7 @@ from lecombus.errors import LecombusError
 from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.fieldbus.lecom.simulator.parameters import CommError, ExtendedError, Refusal
 from lecombus.parameters import Code
+from lecombus.schedule import Priority
 from support.rosters import roster_text
 from support.site_host import Plant, plainly, until, with_plant
 
@@ -328,6 +329,37 @@ def test_an_audit_asked_for_while_the_rest_is_learnt_is_not_forgotten() -> None:
         await until(lambda: plant.line["a"].model.watchdog_setting() == (2.0, 2), within_s=30.0)
 
     with_plant(test, roster_text(ONE, watchdog=GUARD))
+
+
+def test_an_audit_does_not_wait_for_what_is_learnt_when_the_line_has_time() -> None:
+    async def backup(plant: Plant) -> None:
+        while True:
+            await plant.site.operations.read(
+                "b", Code(1922), priority=Priority.BACKGROUND, timeout_s=1000.0
+            )
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await anyio.sleep(5.0)
+        async with anyio.create_task_group() as tasks:
+            for _ in range(31):
+                tasks.start_soon(backup, plant)
+            plant.line.faults.absent = {11}
+            await until(lambda: plant.state("a") is DriveState.OFFLINE)
+            plant.line.faults.absent = set()
+            await plant.online("a")
+            plant.power_cycle("a", 0.0)
+            plant.line.faults.absent = {11}
+            await until(lambda: plant.site.drives.get("a").health.misses >= 2)
+            plant.line.faults.absent = set()
+            armed = plant.line["a"].model.watchdog_setting
+            await until(lambda: armed() == (5.0, 2), within_s=8.0)
+            await plant.online("a", within_s=4.0)
+            tasks.cancel_scope.cancel()
+
+    drives = [*ONE, ("b", 12, "8200vector")]
+    guard = "{time: 5s, action: quick-stop, configure: true}"
+    with_plant(test, roster_text(drives, watchdog=guard))
 
 
 def test_shortened_response_is_learnt_and_the_drive_left_alone_after_each_write() -> None:

@@ -174,12 +174,20 @@ class WatchdogSetting:
 class RunningAudit:
     """An audit that runs or is about to."""
 
-    __slots__ = ("asked_again", "cancelled", "scope")
+    __slots__ = ("asked_again", "cancelled", "learning", "scope")
 
     def __init__(self) -> None:
         self.asked_again = asyncio.Event()
         self.cancelled = False
         self.scope: anyio.CancelScope | None = None
+        self.learning: anyio.CancelScope | None = None
+        """What is read behind the audit, when the line has time."""
+
+    def repeat(self) -> None:
+        """Have it made again soon."""
+        self.asked_again.set()
+        if self.learning is not None:
+            self.learning.cancel()
 
     def cancel(self) -> None:
         """End it, whether it has begun or not."""

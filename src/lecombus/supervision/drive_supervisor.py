@@ -133,7 +133,9 @@ class DriveSupervisor:
                 if not drive.audit.again:
                     self._health.audited(drive)
                     self._prechecks.passed(drive)
-                    await self._learn_the_rest(drive)
+                    with anyio.CancelScope() as running.learning:
+                        await self._learn_the_rest(drive)
+                    running.learning = None
                 if not drive.audit.again:
                     return
 

@@ -74,7 +74,7 @@ class AuditQueue:
         drive.may_have_restarted()
         if drive.audit.running is not None:
             drive.audit.again = True
-            drive.audit.running.asked_again.set()
+            drive.audit.running.repeat()
             return
         drive.audit.running = RunningAudit()
         self._waiting.append((drive, drive.audit.running))
