@@ -8,6 +8,7 @@ import anyio
 import pytest
 
 from lecombus.config import parse_roster
+from lecombus.daemon import Daemon
 from lecombus.drive_state.readings import DriveState, LineState, Quality
 from lecombus.drives import StopAction
 from lecombus.errors import ConfigError, OperationError
@@ -290,6 +291,20 @@ def test_what_is_done_at_the_end_is_what_the_last_roster_says() -> None:
         assert [*found, plant.site.roster.on_shutdown] == ["nothing", "inhibit"]
 
     with_plant(test, roster_text(AB))
+
+
+def test_a_stop_at_the_end_that_cannot_be_sent_is_an_error_in_the_log(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.end.unplug()
+        await until(lambda: not plant.site.worker.is_open)
+        await Daemon(plant.roster, None)._say_goodbye(plant.site)
+
+    with_plant(test, roster_text(AB, sections="on_shutdown: inhibit"))
+    (text,) = [one for one in caplog.messages if "shutdown-stop" in one]
+    assert "event=shutdown-stop-failed action=inhibit reason=the line is not open" in text
 
 
 GUARD = "{time: 2s, action: quick-stop, configure: true}"

@@ -437,9 +437,13 @@ class Daemon:
     async def _say_goodbye(self, runtime: LineRuntime) -> None:
         """Do to the drives what the roster wants done at the end."""
         wanted = runtime.roster.on_shutdown
-        if wanted == "nothing" or not runtime.worker.is_open:
+        if wanted == "nothing":
             return
         action = StopAction(wanted)
+        if not runtime.worker.is_open:
+            reason = f"the line is not open: {runtime.store.line().reason}"
+            logger.error("event=shutdown-stop-failed action=%s reason=%s", action, reason)
+            return
         with anyio.move_on_after(SHUTDOWN_STOP_S) as scope:
             try:
                 report = await runtime.operations.stop(action, "all")
