@@ -529,7 +529,12 @@ def test_a_drive_that_does_not_show_its_stop_is_left_to_its_watchdog() -> None:
 
 @pytest.mark.parametrize(
     ("watchdog", "more"),
-    [("", ""), (WATCHED, "stop_fallback: none"), ("{time: 3s, action: none}", "")],
+    [
+        ("", ""),
+        (WATCHED, "stop_fallback: none"),
+        ("{time: 3s, action: none}", ""),
+        ("{time: 3s, action: inhibit}", ""),  # it is off in the drive
+    ],
 )
 def test_a_drive_that_no_watchdog_may_stop_is_stopped_again_until_that_is_proven(
     watchdog: str, more: str
@@ -546,6 +551,21 @@ def test_a_drive_that_no_watchdog_may_stop_is_stopped_again_until_that_is_proven
         assert plant.state("a") is DriveState.ONLINE
 
     with_plant(test, roster(watchdog=watchdog, more=more))
+
+
+def test_a_hoist_whose_watchdog_inhibits_though_the_roster_says_otherwise_is_not_silenced() -> None:
+    async def test(plant: Plant) -> None:
+        plant.line["a"].model.preset(1923, "3000")
+        plant.line["a"].model.preset(1922, "1")
+        async with controlled(plant) as client:
+            client.alive = False
+            plant.line.drive_faults[11] = Faults(nak=1.0)
+        await anyio.sleep(20.0)
+        assert not plant.site.drives.get("a").health.silenced
+        assert plant.line["a"].watchdog_fired == 0
+
+    watchdog = "{time: 3s, action: quick-stop}"
+    with_plant(test, roster(watchdog=watchdog, more="stop_fallback: none"))
 
 
 def test_a_hoist_that_refuses_its_quick_stop_is_never_inhibited_by_lecombus() -> None:

@@ -285,13 +285,16 @@ class LeaseWatch:
     ) -> None:
         """Stop drives; silence, or stop again, those that do not show it."""
         rounds = {name: self._rounds[name] for name in names}
+        # A drive that goes and comes back is audited: what its watchdog does is not known then.
+        drives = filter(None, map(self._drives.find, names))
+        left = {drive.name for drive in drives if has_watchdog_that_stops(drive)}
         missing = await self._unproven(action, target, names)
         for name in names:
             if name not in missing:
                 logger.info("drive=%s event=lapse-stopped action=%s", name, action)
         async with anyio.create_task_group() as tasks:
             for name in missing:
-                tasks.start_soon(self._escalate, action, name, rounds[name], why)
+                tasks.start_soon(self._escalate, action, name, rounds[name], name in left, why)
 
     async def _unproven(
         self, action: StopAction, target: str, names: tuple[str, ...]
@@ -305,11 +308,13 @@ class LeaseWatch:
         outcomes = {one.drive: one.outcome for one in report.members}
         return tuple(name for name in names if outcomes.get(name) is not Outcome.VERIFIED)
 
-    async def _escalate(self, action: StopAction, name: str, round_: int, why: str) -> None:
-        """Have the drive's watchdog stop it, or stop it again until that is proven."""
+    async def _escalate(
+        self, action: StopAction, name: str, round_: int, is_left: bool, why: str
+    ) -> None:
+        """Have the drive's watchdog stop it (`is_left`), or stop it again until that is proven."""
         while self._is_open(name, round_):
             drive = self._drives.get(name)
-            if stops_by_silence(drive.entry):
+            if is_left and stops_by_silence(drive.entry):
                 self._silence(drive, f"{action} is not proven, its watchdog is left to act: {why}")
                 return
             await anyio.sleep(REPEAT_S)
@@ -347,6 +352,20 @@ class LeaseWatch:
                     text = f"latched ({LATCHES[control.latch]}): enable it under its lease"
             if self._drives.find(name) is not None:
                 self._store.note(name, REMARK, text)
+
+
+def has_watchdog_that_stops(drive: Drive) -> bool:
+    """Whether a drive's own watchdog stops it as the roster allows, by what its audit found.
+
+    The drive may have another one than the roster says, or none. What was not seen counts as there.
+    """
+    found, traits = drive.audit.watchdog, drive.family.watchdog
+    if not stops_by_silence(drive.entry):
+        return False
+    if found is None or traits is None:
+        return True
+    is_quick_stop = traits.action_of(found.action) == "quick-stop"
+    return found.armed and (drive.entry.stop_fallback == "inhibit" or is_quick_stop)
 
 
 LATCHES: Final = {
