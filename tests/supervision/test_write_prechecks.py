@@ -242,8 +242,24 @@ def test_where_extended_addressing_is_ruled_out_nothing_is_believed_and_nothing_
         assert "not what was asked" in str(reading.reason)
         with pytest.raises(OperationError, match="nothing is written to a"):
             await write(plant)
+        plant.line["a"].model.preset(249, "0")
+        await until(lambda: lock(plant) == "", within_s=600.0)
+        assert await write(plant) is Outcome.VERIFIED
 
     with_plant(test, roster_text(ONE, drive=f"{WRITABLE}, addressing: standard"))
+
+
+def test_standard_addressing_is_used_again_when_another_master_has_put_it_back() -> None:
+    async def test(plant: Plant) -> None:
+        plant.line["a"].model.preset(249, "4")
+        await plant.online()
+        assert "addressing-moved" in plant.site.store.drive("a").remarks
+        plant.line["a"].model.preset(249, "0")
+        await anyio.sleep(600.0)
+        assert "addressing-moved" not in plant.site.store.drive("a").remarks
+        assert plant.site.requests.station("a").forms == plant.site.drives.get("a").entry.forms
+
+    with_plant(test, ROSTER)
 
 
 def test_a_drive_whose_identity_the_line_has_no_time_for_works_all_the_same() -> None:

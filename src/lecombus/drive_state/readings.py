@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ADDRESSING_LOCK",
+    "ADDRESSING_MOVED",
     "IDENTITY_LOCK",
     "NOT_CYCLIC",
     "NO_SUCH_CODE",
@@ -70,6 +71,8 @@ class LineState(StrEnum):
 SOFTWARE_LOCK = "software"
 IDENTITY_LOCK = "identity"
 ADDRESSING_LOCK = "addressing"
+ADDRESSING_MOVED = "addressing-moved"
+"""The remark where extended addressing is used instead: writes go."""
 WRITE_LOCKS = (IDENTITY_LOCK, SOFTWARE_LOCK, ADDRESSING_LOCK)
 """The remarks that let nothing but stops be written to a drive, for as long as one stands."""
 

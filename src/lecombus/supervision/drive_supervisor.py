@@ -81,7 +81,7 @@ class DriveSupervisor:
         self._prechecks = WritePrechecks(
             requests, store, operations.identities, operations.readdressing
         )
-        self._rechecks = Rechecks(requests, self._watchdogs, health)
+        self._rechecks = Rechecks(requests, store, self._watchdogs, health)
         self._one_at_a_time = anyio.Lock()
 
     async def run(self) -> None:

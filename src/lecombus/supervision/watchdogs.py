@@ -9,7 +9,7 @@ is put back to its defaults at its keypad, a module that is seldom asked restart
 Its watchdog is off from then on, and nothing on the line shows it. So `Rechecks` asks one drive
 after the other in the background, each every five minutes, or as seldom as keeps all of it to a
 hundredth of the line's time: a module's own codes take half a second each. What differs makes the
-drive one to be audited.
+drive one to be audited. A drive whose addressing was moved is audited so often: it may be back.
 Source: EDB2102EN 6.3 (C1920..C1923; kept without supply: nothing), CMVLC401A 7.3.
 """
 
@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator
 import anyio
 
 from lecombus.drive_state.drive_runtime import Drive, WatchdogSetting
-from lecombus.drive_state.readings import DriveState
+from lecombus.drive_state.readings import ADDRESSING_LOCK, ADDRESSING_MOVED, DriveState
 from lecombus.drive_state.store import Store
 from lecombus.drives import WatchdogTraits
 from lecombus.errors import LecombusError, OperationError, UnknownCodeError
@@ -257,19 +257,24 @@ class Rechecks:
 
     Args:
         requests: Sends requests and waits for their end.
+        store: Has the remarks.
         watchdogs: Knows what was set.
         health: Takes doubts about drives.
     """
 
-    def __init__(self, requests: Requests, watchdogs: WatchdogAudit, health: Health) -> None:
+    def __init__(
+        self, requests: Requests, store: Store, watchdogs: WatchdogAudit, health: Health
+    ) -> None:
         self._requests = requests
+        self._store = store
         self._watchdogs = watchdogs
         self._health = health
 
     async def run(self) -> None:
         """Go round for as long as the daemon lives."""
         while True:
-            drives = [one for one in self._requests.drives if self._watched(one) is not None]
+            drives = [one for one in self._requests.drives
+                      if self._watched(one) is not None or self._is_moved(one)]  # fmt: skip
             pause_s = self._round_s(drives) / max(1, len(drives))
             for drive in drives:
                 await anyio.sleep(pause_s)
@@ -295,9 +300,18 @@ class Rechecks:
             return None
         return drive.station, traits
 
+    def _is_moved(self, drive: Drive) -> bool:
+        """Whether a drive is online whose addressing was moved: another master may put it back."""
+        remarks = self._store.drive(drive.name).remarks
+        is_online = drive.health.state is DriveState.ONLINE
+        return is_online and not remarks.keys().isdisjoint((ADDRESSING_LOCK, ADDRESSING_MOVED))
+
     async def _look(self, name: str) -> None:
         """Ask one drive, if it is still one to be asked."""
         drive = self._requests.drives.find(name)
+        if drive is not None and self._is_moved(drive):
+            self._health.audits.ask(drive)
+            return
         watched = self._watched(drive)
         if drive is None or watched is None:
             return

@@ -21,7 +21,7 @@ import logging
 from collections.abc import Iterable
 
 from lecombus.drive_state.drive_runtime import Drive
-from lecombus.drive_state.readings import ADDRESSING_LOCK, SOFTWARE_LOCK
+from lecombus.drive_state.readings import ADDRESSING_LOCK, ADDRESSING_MOVED, SOFTWARE_LOCK
 from lecombus.drive_state.store import Store
 from lecombus.drives import SoftwareGate
 from lecombus.drives.procedures import identity_codes
@@ -41,8 +41,6 @@ logger = logging.getLogger(__name__)
 
 UNCHECKED = "identity-unchecked"
 """The remark where the line has no time for the question who a drive is."""
-MOVED = "addressing-moved"
-"""The remark where extended addressing is used instead: writes go."""
 
 
 class WritePrechecks:
@@ -118,10 +116,10 @@ class WritePrechecks:
                 f"{text}extended addressing is used instead; another master on this line may have "
                 "set them; they are 0 again after switching off and on"
             )
-        if moved and not before.keys() & {ADDRESSING_LOCK, MOVED}:
+        if moved and not before.keys() & {ADDRESSING_LOCK, ADDRESSING_MOVED}:
             logger.warning("drive=%s event=addressing-moved reason=%s", name, lock or note)
         self._store.note(name, ADDRESSING_LOCK, lock)
-        self._store.note(name, MOVED, note)
+        self._store.note(name, ADDRESSING_MOVED, note)
         if note is not None:
             for code in self._store.codes(name):
                 self._store.value_failed(name, code, f"{reads} when it was read")
