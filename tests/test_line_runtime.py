@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+from pathlib import Path
 
 import anyio
 import pytest
 
-from lecombus.config import parse_roster
+from lecombus.config import Roster, parse_roster
 from lecombus.daemon import Daemon
 from lecombus.drive_state.readings import DriveState, LineState, Quality
 from lecombus.drives import StopAction
-from lecombus.errors import ConfigError, OperationError
+from lecombus.errors import ConfigError, LineClosedError, OperationError
 from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome
@@ -305,6 +306,28 @@ def test_a_stop_at_the_end_that_cannot_be_sent_is_an_error_in_the_log(
     with_plant(test, roster_text(AB, sections="on_shutdown: inhibit"))
     (text,) = [one for one in caplog.messages if "shutdown-stop" in one]
     assert "event=shutdown-stop-failed action=inhibit reason=the line is not open" in text
+
+
+def test_a_roster_that_was_read_when_the_daemon_ends_is_not_applied(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    roster = tmp_path / "r.yaml"
+    roster.write_text(roster_text(AB))
+
+    async def test(plant: Plant) -> None:
+        daemon = Daemon(plant.roster, roster)
+        daemon.runtime = plant.site
+
+        async def read(*args: object, **kwargs: object) -> Roster:
+            daemon.end()
+            return parse_roster(roster_text([*AB, ("c", 13, "8200vector")]), "r.yaml")
+
+        monkeypatch.setattr("lecombus.daemon.anyio.to_thread.run_sync", read)
+        with pytest.raises(LineClosedError):
+            await daemon.reload()
+        assert plant.site.drives.find("c") is None
+
+    with_plant(test, roster_text(AB))
 
 
 GUARD = "{time: 2s, action: quick-stop, configure: true}"

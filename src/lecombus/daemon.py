@@ -330,8 +330,7 @@ class Daemon:
                     kind="no-roster",
                     remedy="start it with `lecombus run -c ROSTER`",
                 )
-            if self._end.is_set():
-                raise LineClosedError("lecombus is ending; the roster is not read again")
+            self._refuse_at_end()
             was_ready = self._ready
             if was_ready:  # else READY would end the start of a line that is not open yet
                 now_us = time.monotonic_ns() // 1000
@@ -342,6 +341,11 @@ class Daemon:
                 if was_ready:
                     self._notifier.tell("READY=1")
 
+    def _refuse_at_end(self) -> None:
+        """Change no drive while the last stop is sent."""
+        if self._end.is_set():
+            raise LineClosedError("lecombus is ending; the roster is not read again")
+
     async def _apply_file(self, runtime: LineRuntime, path: Path) -> RosterChanges:
         """Read a roster in a thread and apply it; log how that ended, and who asked for it."""
         who = " ".join(f"{key}={text}" for key, text in ACTOR.get().fields().items())
@@ -351,6 +355,7 @@ class Daemon:
                 load_roster, path, running, abandon_on_cancel=True
             )
             tls = None if self._tls is None else await self._tls.read()
+            self._refuse_at_end()
             changes = runtime.apply(roster)
         except TlsFileError as exc:
             wrong = RosterError([Mistake(exc.file, 1, 1, exc.what, exc.remedy)])
