@@ -21,7 +21,7 @@ from lecombus.operations.lease_operations import LEASE
 from lecombus.operations.operation_reports import GroupReport, WriteReport
 from lecombus.parameters import Code
 from lecombus.saved_state import State
-from lecombus.schedule import Outcome
+from lecombus.schedule import Outcome, Priority
 from support.rosters import roster_text
 from support.site_host import Plant, until, with_plant
 
@@ -551,6 +551,28 @@ def test_a_drive_that_no_watchdog_may_stop_is_stopped_again_until_that_is_proven
         assert plant.state("a") is DriveState.ONLINE
 
     with_plant(test, roster(watchdog=watchdog, more=more))
+
+
+def test_the_stop_of_a_drive_that_is_switched_off_does_not_take_the_line_for_ever() -> None:
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as client:
+            client.alive = False
+            plant.line.faults.absent = {11}
+        await anyio.sleep(600.0)
+        since_s = plant.now_s
+        stops = [one for one in plant.reports if one.priority is Priority.STOP]
+        await anyio.sleep(600.0)
+        more = [one for one in plant.reports if one.priority is Priority.STOP][len(stops) :]
+        busy_s = sum(one.result.ended_s - one.result.started_s for one in more)
+        assert 0.0 < busy_s < 0.03 * (plant.now_s - since_s)
+        drive = plant.line["a"].model
+        drive.preset(135, "H0000")
+        drive.preset(40, "1")
+        plant.line.faults.absent = set()
+        await anyio.sleep(40.0)  # it is probed less often by now
+        assert standing(plant)
+
+    with_plant(test, roster(watchdog=""))
 
 
 def test_a_hoist_whose_watchdog_inhibits_though_the_roster_says_otherwise_is_not_silenced() -> None:

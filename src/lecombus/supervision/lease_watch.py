@@ -49,6 +49,10 @@ REMARK: Final = "lease"
 REPEAT_S: Final = 2.0
 """Between two stops of a drive that does not show the first and has no watchdog to stop it."""
 
+REPEAT_MOST_S: Final = 60.0
+"""While such a drive is offline its stop is repeated ever more seldom, down to this: each takes a
+second of the line. It is stopped again `REPEAT_S` after it answers."""
+
 LOOK_S: Final = 0.25
 """How often latched drives are looked at that were away, seconds."""
 
@@ -312,15 +316,27 @@ class LeaseWatch:
         self, action: StopAction, name: str, round_: int, is_left: bool, why: str
     ) -> None:
         """Have the drive's watchdog stop it (`is_left`), or stop it again until that is proven."""
+        pause_s = REPEAT_S
         while self._is_open(name, round_):
             drive = self._drives.get(name)
             if is_left and stops_by_silence(drive.entry):
                 self._silence(drive, f"{action} is not proven, its watchdog is left to act: {why}")
                 return
-            await anyio.sleep(REPEAT_S)
+            pause_s = await self._pause(name, round_, pause_s)
             if self._is_open(name, round_) and not await self._unproven(action, name, (name,)):
                 logger.info("drive=%s event=lapse-stopped action=%s", name, action)
                 return
+
+    async def _pause(self, name: str, round_: int, pause_s: float) -> float:
+        """Wait between two stops of a drive, as long as it is offline; give the next such wait."""
+        end_s = self._clock() + pause_s
+        while True:
+            await anyio.sleep(REPEAT_S)
+            is_away = self._is_open(name, round_) and self._store.state(name) is DriveState.OFFLINE
+            if not is_away:
+                return REPEAT_S
+            if self._clock() >= end_s:
+                return min(2.0 * pause_s, REPEAT_MOST_S)
 
     def _is_open(self, name: str, round_: int) -> bool:
         """Whether the drive is still latched by the end that is being carried out."""
