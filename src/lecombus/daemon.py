@@ -445,12 +445,10 @@ class Daemon:
         if wanted == "nothing":
             return
         action = StopAction(wanted)
-        if not runtime.worker.is_open:
-            reason = f"the line is not open: {runtime.store.line().reason}"
-            logger.error("event=shutdown-stop-failed action=%s reason=%s", action, reason)
-            return
         with anyio.move_on_after(SHUTDOWN_STOP_S) as scope:
             try:
+                if not runtime.worker.is_open:
+                    raise LineClosedError(f"the line is not open: {runtime.store.line().reason}")
                 report = await runtime.operations.stop(action, "all")
             except LecombusError as exc:
                 logger.error("event=shutdown-stop-failed action=%s reason=%s", action, exc)
