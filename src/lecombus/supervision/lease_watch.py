@@ -295,7 +295,7 @@ class LeaseWatch:
         missing = await self._unproven(action, target, names)
         for name in names:
             if name not in missing:
-                logger.info("drive=%s event=lapse-stopped action=%s", name, action)
+                self._note_stopped(action, name, alone=len(names) == 1)
         async with anyio.create_task_group() as tasks:
             for name in missing:
                 tasks.start_soon(self._escalate, action, name, rounds[name], name in left, why)
@@ -324,8 +324,18 @@ class LeaseWatch:
                 return
             pause_s = await self._pause(name, round_, pause_s)
             if self._is_open(name, round_) and not await self._unproven(action, name, (name,)):
-                logger.info("drive=%s event=lapse-stopped action=%s", name, action)
+                self._note_stopped(action, name, alone=True)
                 return
+
+    def _note_stopped(self, action: StopAction, name: str, *, alone: bool) -> None:
+        """A stop is proven: a restart that was seen before that calls for no further one.
+
+        A member of a group may have restarted behind its own proof and before that of others.
+        """
+        logger.info("drive=%s event=lapse-stopped action=%s", name, action)
+        if alone:
+            self._restarts[name] = self._drives.lasting(name).restarted_s
+            self._to_look_at.discard(name)
 
     async def _pause(self, name: str, round_: int, pause_s: float) -> float:
         """Wait between two stops of a drive, as long as it is offline; give the next such wait."""
