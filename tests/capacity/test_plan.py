@@ -246,7 +246,7 @@ def test_a_long_name_is_whole_and_does_not_reach_into_the_picture() -> None:
 
 @pytest.mark.parametrize(
     ("time", "verdict"),
-    [("2s", "may act"), ("5s", "if fed 1.9 s before"), ("60s", "outlasts it")],
+    [("2s", "may act"), ("7s", "if fed 1.9 s before"), ("60s", "outlasts it")],
 )
 def test_which_watchdogs_outlast_a_restart(time: str, verdict: str) -> None:
     drives = [("a", 1, "8200vector"), ("b", 2, "8200vector")]
