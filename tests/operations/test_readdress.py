@@ -302,6 +302,48 @@ def test_a_drive_found_nowhere_is_said_with_what_to_do_and_remembered() -> None:
     with_plant(test, ROSTER, state=state)
 
 
+def test_a_daemon_that_ends_behind_the_write_leaves_word_of_it() -> None:
+    state = State()
+
+    async def cut_off(plant: Plant) -> None:
+        await ready(plant)
+        async with anyio.create_task_group() as tasks:
+
+            def end_at_the_write(at_s: float, one: ReceivedRequest) -> None:
+                if one.text is not None and one.address == 11:
+                    tasks.cancel_scope.cancel()
+
+            plant.line.on_request = end_at_the_write
+            await change(plant, 35)
+        assert state.drive("a").moved is not None
+
+    async def next_run(plant: Plant) -> None:
+        assert "35 was written as its address" in remark(plant)
+        await until(lambda: plant.state("a") is DriveState.ONLINE, within_s=120)
+        assert remark(plant) == "", "here it has taken nothing, and is where it was"
+
+    with_plant(cut_off, ROSTER, state=state)
+    with_plant(next_run, ROSTER, state=state)
+
+
+def test_what_changed_nothing_leaves_the_address_before_as_it_was_remembered() -> None:
+    state = State()
+
+    async def test(plant: Plant) -> None:
+        await ready(plant)
+        assert (await change(plant, 35)).outcome is Outcome.VERIFIED
+        await until(lambda: plant.state("a") is DriveState.ONLINE)
+        await plant.site.operations.stop(StopAction.INHIBIT, "a")
+        moved = state.drive("a").moved
+        plant.line.drive_faults[35] = Faults(nak=1.0)
+        report = await change(plant, 36)
+        assert report.outcome is Outcome.REFUSED
+        assert moved is not None
+        assert state.drive("a").moved == moved
+
+    with_plant(test, ROSTER, state=state)
+
+
 def test_a_line_that_is_lost_behind_the_write_leaves_the_outcome_open() -> None:
     async def test(plant: Plant) -> None:
         await ready(plant)

@@ -151,31 +151,49 @@ class Readdress:
             held = await self._see_that_it_is_stopped(station)
             async with self._at(station, address) as there:
                 await self._see_silence(drive, there)
-                self._check(drive, station, address)
-                code = address_code(station.family)
-                was_stopped = self._requests.stops_said(drive) != stops
-                if was_stopped or self._requests.stopped_since_asked(drive):
-                    return stopped_first(drive, code)
-                refuse_for_gone_client(drive)
-                logger.warning(
-                    "drive=%s event=readdress from=%d to=%d", drive, station.address, address
-                )
-                outcome, reason = await self._requests.write(
-                    station, code, Value.decimal(address), verify=False,
-                    lease_ended=self._leases.ended_check({drive: Use.SETTING}),
-                    is_gone=IS_GONE.get(),
-                )  # fmt: skip
-                if outcome is Outcome.SUPERSEDED:
-                    return stopped_first(drive, code)
-                if outcome not in (Outcome.DONE, Outcome.UNKNOWN):
-                    kind = "lease-lost" if reason.startswith(LEASE_ENDED) else "nak"
-                    kind = "client-gone" if reason == CLIENT_GONE else kind
-                    return WriteReport(drive, code, outcome, reason, kind=kind)
+                before = self._state.drive(drive).moved
+                # Should lecombus end after the write, the next run must know of it.
+                self._remember(drive, self._unseen(address))
+                await self._state.save_now()
+                try:
+                    report = await self._write(drive, station, address, stops)
+                except TROUBLE:
+                    self._remember(drive, before)
+                    raise
+                if report is not None:
+                    self._remember(drive, before)
+                    return report
                 found = await self._find(drive, there, address)
             if found:
                 report = self._moved(drive, station, address, held)
                 return await self._save(drive, report)
-            return await self._look_back(drive, station, address)
+            report = await self._look_back(drive, station, address)
+            if report.outcome is Outcome.REFUSED:  # it has its old address
+                self._remember(drive, before)
+            return report
+
+    async def _write(
+        self, drive: str, station: Station, address: int, stops: int
+    ) -> WriteReport | None:
+        """Write the address once; None: the drive may have taken it."""
+        self._check(drive, station, address)
+        code = address_code(station.family)
+        was_stopped = self._requests.stops_said(drive) != stops
+        if was_stopped or self._requests.stopped_since_asked(drive):
+            return stopped_first(drive, code)
+        refuse_for_gone_client(drive)
+        logger.warning("drive=%s event=readdress from=%d to=%d", drive, station.address, address)
+        outcome, reason = await self._requests.write(
+            station, code, Value.decimal(address), verify=False,
+            lease_ended=self._leases.ended_check({drive: Use.SETTING}), is_gone=IS_GONE.get(),
+        )  # fmt: skip
+        if outcome is Outcome.SUPERSEDED:
+            return stopped_first(drive, code)
+        if outcome in (Outcome.DONE, Outcome.UNKNOWN):
+            return None
+        kind = "lease-lost" if reason.startswith(LEASE_ENDED) else "nak"
+        kind = "client-gone" if reason == CLIENT_GONE else kind
+        return WriteReport(drive, code, outcome, reason, kind=kind)
 
     # ---- before -----------------------------------------------------------------------------
 
@@ -328,7 +346,7 @@ class Readdress:
         return self._lost(drive, station, address, f"writing it back ended {outcome}: {reason}")
 
     def _lost(self, drive: str, station: Station, address: int, why: str) -> WriteReport:
-        self._remember(drive, Moved(address, rfc3339(self._wall()), confirmed=False))
+        self._remember(drive, self._unseen(address))
         logger.error(
             "drive=%s event=readdress-lost from=%d to=%d reason=%s",
             drive, station.address, address, why,
@@ -348,7 +366,11 @@ class Readdress:
 
     # ---- parts ------------------------------------------------------------------------------
 
-    def _remember(self, drive: str, moved: Moved) -> None:
+    def _unseen(self, address: int) -> Moved:
+        """Give what is kept of a drive that was written to and not found since."""
+        return Moved(address, rfc3339(self._wall()), confirmed=False)
+
+    def _remember(self, drive: str, moved: Moved | None) -> None:
         self._state.drive(drive).moved = moved
         self._state.touch()
 
@@ -361,8 +383,8 @@ class Readdress:
             )
         elif moved is not None:
             text = (
-                f"{moved.address} was written as its address at {moved.at}, and it was found "
-                f"neither there nor at {roster}: look at its address at the keypad"
+                f"{moved.address} was written as its address at {moved.at}, and it was not found "
+                f"since, there or at {roster}: look at its address at the keypad"
             )
         self._store.note(drive, MOVED, text)
 

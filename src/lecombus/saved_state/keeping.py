@@ -53,6 +53,7 @@ class Keeping:
     def __init__(self, path: Path | None) -> None:
         self._file = StateFile(path)
         self.state: State = self._file.load()
+        self.state.saver = self._save_now
         self._counts = self._load_counts()
         self._written = 0
         self._failure = "" if self._file.is_usable else self._file.trouble
@@ -96,6 +97,14 @@ class Keeping:
                 self._took(changes, failure)
             elif self._counts is not None and self._counts.failure:
                 self._tell()
+
+    async def _save_now(self) -> None:
+        """Write what changed; a disk that hangs is not waited for longer than at the end."""
+        if not self._is_due():
+            return
+        changes, noted, text = self._taken()
+        with anyio.move_on_after(END_S):
+            self._took(changes, await _in_daemon_thread(partial(self._save, text, noted)))
 
     def close(self) -> None:
         """Write what is left, at the end, when nothing else runs any more."""

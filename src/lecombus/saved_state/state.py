@@ -24,7 +24,7 @@ import errno
 import json
 import os
 import stat
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -125,6 +125,7 @@ class State:
 
     Attributes:
         counted: Called for each write that was counted: drive, code and the count now.
+        saver: Puts what changed on disk; None where nothing is kept.
     """
 
     def __init__(
@@ -138,6 +139,7 @@ class State:
         self._drives = drives if drives is not None else {}
         self.changes = 0
         self.counted: Callable[[str, str, int], None] | None = None
+        self.saver: Callable[[], Awaitable[None]] | None = None
 
     def drive(self, name: str) -> DriveFacts:
         """Return what is kept of a drive; empty facts for one that is new."""
@@ -154,6 +156,11 @@ class State:
     def touch(self) -> None:
         """Say that something was changed, so that it is written."""
         self.changes += 1
+
+    async def save_now(self) -> None:
+        """Put what changed on disk before what follows is done, unless the disk hangs or fails."""
+        if self.saver is not None:
+            await self.saver()
 
     def bound(self, names: Iterable[str]) -> None:
         """Drop the facts of the drives that left the roster longest ago, beyond a hundred.
