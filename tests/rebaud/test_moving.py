@@ -10,7 +10,7 @@ from lecombus.fieldbus.lecom.rebaud import DrivePlace, RebaudEnd, ending_of, sit
 from lecombus.fieldbus.lecom.simulator import SimDrive
 from rebaud.test_checking import FAMILIES, standing
 from support.golden import Golden
-from support.rebauding import Read, RebaudLine, Step, Write, baud_of
+from support.rebauding import Read, RebaudLine, Step, Wait, Write, baud_of
 
 THREE = ("822x", "8200vector", "smvector")
 
@@ -90,6 +90,23 @@ def test_a_93xx_that_did_not_save_is_named_with_what_to_do() -> None:
     assert ending_of(line.work) is RebaudEnd.MOVED
     assert "falls back to 9600 baud when it is switched off" in told(line)[1]
     assert situation(line.work.drives[0], line.work) == "at 19200 baud, not saved"
+
+
+def test_a_93xx_that_an_attempt_before_has_moved_is_not_said_to_keep_its_rate() -> None:
+    first = standing("93xx", "822x").check()
+    first.before = lambda step: setattr(
+        first.work.line, "interrupted", not isinstance(step, Wait) and step.drive == "822x"
+    )
+    first.move()
+    assert first.rates == {"93xx": 19200, "822x": 9600}
+    again = RebaudLine([], subjects=[one.subject for one in first.work.drives])
+    again.drives, again.line, again.scanned = first.drives, first.line, first.scanned
+    again.check()
+    assert again.places == {"93xx": "new", "822x": "old"}
+    again.before = lambda _: setattr(again.work.line, "interrupted", True)
+    again.move()
+    assert situation(again.work.drives[0], again.work) == "at 19200 baud, not saved"
+    assert any("switched off and on, it is at 9600 baud" in one for one in told(again))
 
 
 # ---- what goes wrong ----------------------------------------------------------------------------

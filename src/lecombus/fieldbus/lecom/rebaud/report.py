@@ -116,7 +116,7 @@ def _needs_saving(drive: RebaudDrive, work: Rebaud) -> bool:
     """Whether a drive forgets at power-off what rate it was given here."""
     if saving_rule(drive.subject.family) is None or drive.saved:
         return False
-    return drive.place is DrivePlace.NEW and (drive.saved is False or drive.writes > 0)
+    return drive.place is DrivePlace.NEW  # also one that an attempt before has moved
 
 
 def _saving_code(drive: RebaudDrive) -> str:
