@@ -199,7 +199,7 @@ MUTANTS: dict[str, Mutant] = {
     "the turnaround is forgotten": Mutant(
         BusIdleTimer,
         "exchange_ended",
-        "ended_s + self._turnaround_s",
+        "ended_s + self.turnaround_s",
         "ended_s",
         (0,),
         quick=True,
