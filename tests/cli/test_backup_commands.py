@@ -306,10 +306,10 @@ def test_what_is_incomplete_is_written_if_wanted_and_takes_the_place_of_nothing(
 def test_a_disk_that_takes_nothing_is_said_of_each_drive(
     run: Run, two: dict[str, Drive], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(path: Path, text: str) -> None:
+    def full(path: Path, text: str, **_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device", str(path))
 
-    monkeypatch.setattr("lecombus.cli.backup.save", full)
+    monkeypatch.setattr("lecombus.cli.backup.write_whole", full)
     ran = run("backup", "--all", "-o", str(tmp_path))
     assert (ran.status, list(tmp_path.iterdir())) == (1, [])
     assert [line.partition(":")[0] for line in ran.err.splitlines()] == ["feeder", "belt"]

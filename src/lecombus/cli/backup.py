@@ -12,7 +12,6 @@ import hashlib
 import json
 import os
 import re
-import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -46,6 +45,7 @@ from lecombus.cli.daemon_access import connected
 from lecombus.cli.drive_access import HttpDrive
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.screen import Bar, counted, progress
+from lecombus.cli.whole_file import write_whole
 from lecombus.errors import ConfigError
 from lecombus.fieldbus.protocols import family_of_any_protocol
 from lecombus.parameters import Code, Json, Value
@@ -59,7 +59,6 @@ __all__ = [
     "load_backup",
     "read_drive",
     "read_text",
-    "save",
 ]
 
 LARGEST = 4 * 1024 * 1024
@@ -121,28 +120,6 @@ def check_target(path: Path) -> None:
     except (ConfigError, CommandError) as exc:
         remedy = "name another file, or remove it"
         raise CommandError(Exit.USAGE, f"{path} is there and is no backup", remedy) from exc
-
-
-def save(path: Path, text: str) -> None:
-    """Put a backup in its place, whole.
-
-    Raises:
-        OSError: It could not be written; what was there is as it was.
-    """
-    place = path.resolve()  # a link stays one
-    descriptor, name = tempfile.mkstemp(prefix=f".{place.name}.", suffix=".new", dir=place.parent)
-    try:
-        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-            os.fchmod(descriptor, MODE)
-            file.write(text)
-            file.flush()
-            os.fsync(descriptor)
-        Path(name).replace(place)
-    except BaseException as exc:  # also when interrupted: no half of a backup is left beside it
-        Path(name).unlink(missing_ok=True)
-        if isinstance(exc, OSError) and not exc.filename:
-            exc.filename = str(path)  # a full disk does not name it
-        raise
 
 
 class Notes:
@@ -311,7 +288,7 @@ def back_up_one(daemon: DaemonOptions, drive: str, output: Path | None, wanted: 
         raise incomplete(drive, left, output)
     text = write_backup(backup)
     if output is not None:
-        save(output, text)
+        write_whole(output, text, may_replace=True, mode=MODE)
     if daemon.as_json:
         click.echo(json.dumps(summary(backup, output, left), ensure_ascii=False))
     elif output is None:
@@ -447,7 +424,7 @@ async def back_up_into(
     if left and not wanted.partial:
         raise incomplete(name, left, None)
     path = folder / f"{name}.{backup.head.taken.replace(':', '')}.yaml"
-    save(path, write_backup(backup))
+    write_whole(path, write_backup(backup), may_replace=True, mode=MODE)
     bar.say(said_of(backup, path))
     if keep is not None and not left:  # what is not complete takes the place of nothing
         drop_oldest(folder, path, keep)

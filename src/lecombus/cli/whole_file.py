@@ -1,4 +1,4 @@
-"""Files of users, written whole or not at all: the roster of a scan, the drawing of a plan."""
+"""Files of users, written whole or not at all: backups, rosters of a scan, drawings of a plan."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from pathlib import Path
 __all__ = ["write_whole"]
 
 
-def write_whole(path: Path, text: str, *, may_replace: bool) -> None:
+def write_whole(path: Path, text: str, *, may_replace: bool, mode: int | None = None) -> None:
     """Put a text into a file; one that is replaced keeps its mode and, if permitted, its owner.
 
     Args:
         path: The file; what is no regular file, such as /dev/stdout, is written to as it is.
         text: All of it.
         may_replace: A file that is there may be replaced.
+        mode: The mode of the file whether it is new or not; None for that of the old one.
 
     Raises:
         OSError: It could not be written; what was there is as it was.
@@ -31,6 +32,8 @@ def write_whole(path: Path, text: str, *, may_replace: bool) -> None:
         with new.open("x", encoding="utf-8") as file:
             if place.exists():
                 _keep_rights(place, file.fileno())
+            if mode is not None:
+                os.fchmod(file.fileno(), mode)
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
