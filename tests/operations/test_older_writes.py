@@ -12,7 +12,7 @@ from collections.abc import Awaitable
 import anyio
 import pytest
 
-from lecombus.drives import StopAction
+from lecombus.drives import StopAction, Verb
 from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome
@@ -100,3 +100,82 @@ def test_an_older_write_is_not_said_again_behind_one_that_stops_the_drive(
 ) -> None:
     drive = DRIVE.replace("C0046, ", "") + ", addressing: standard"
     check(roster(family, drive), older, later, then)
+
+
+@pytest.mark.parametrize("family", ["821x", "8200vector", "93xx"])
+@pytest.mark.parametrize(
+    ("older", "later", "word"),
+    [
+        ((135, "H0008"), (40, "0"), 0x0208),
+        ((135, "H0008"), (135, "H0000"), 0x0000),
+        ((40, "0"), (40, "1"), 0x0000),
+    ],
+)
+def test_a_stop_without_acknowledgement_is_not_said_again_behind_a_later_write_of_the_group(
+    older: tuple[int, str], later: tuple[int, str], word: int, family: str
+) -> None:
+    """It would lift the inhibit, or stop the drive behind its start."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await anyio.sleep(5.0)
+        operations = plant.site.operations
+        for name in "ab":
+            assert (await operations.verb(name, Verb.ENABLE)).outcome is Outcome.VERIFIED
+        plant.line.drive_faults[11] = Faults(lost=1.0)  # it hears the write; its answer is lost
+        writing = asyncio.create_task(operations.write("a", Code(older[0]), older[1]))
+        await anyio.sleep(0.05)
+        plant.line.drive_faults[11] = Faults()
+        await anyio.sleep(0.2)
+        begin_s = plant.now_s
+        report = await operations.write_group("two", Code(later[0]), later[1])
+        assert report.outcome is Outcome.VERIFIED
+        ended = await writing
+        await anyio.sleep(3.0)
+        assert plant.line["a"].text(135) == f"H{word:04X}"
+        telegrams = said(plant, begin_s)
+        group = next(at for at, one in enumerate(telegrams) if one.startswith(b"\x0410\x02"))
+        assert not any(one.startswith(b"\x0411\x02") for one in telegrams[group:])
+        assert ended.outcome is Outcome.UNKNOWN
+
+    with_plant(test, roster(family))
+
+
+def test_an_inhibit_without_acknowledgement_is_said_again_behind_a_later_quick_stop() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        operations = plant.site.operations
+        writing = await unheard_until_read(plant, 40, "0")
+        assert (await operations.write("a", Code(135), "H0008")).outcome.is_good
+        assert (await writing).outcome.is_good
+        assert plant.line["a"].model.inhibited()
+
+    with_plant(test, roster("93xx", DRIVE.replace("C0046, ", "") + ", addressing: standard"))
+
+
+@pytest.mark.parametrize(
+    ("older", "later", "then"),
+    [
+        ((135, "H0008"), (40, "0"), (135, "H0208")),
+        ((46, "30"), (46, "0"), (46, "0")),
+        ((40, "1"), (135, "H0008"), (135, "H0008")),
+    ],
+)
+def test_a_write_waits_for_an_earlier_multicast_that_waits_for_another_member(
+    older: tuple[int, str], later: tuple[int, str], then: tuple[int, str]
+) -> None:
+    """What was asked for last is said last."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await anyio.sleep(5.0)
+        operations, now_s = plant.site.operations, plant.now_s
+        plant.site.schedule.hold("a", now_s + 0.05, now_s)  # as after a write
+        group = asyncio.create_task(operations.write_group("two", Code(older[0]), older[1]))
+        await anyio.sleep(0.001)
+        report = await operations.write("b", Code(later[0]), later[1], verify=False)
+        assert report.outcome is Outcome.DONE
+        await group
+        assert plant.line["b"].text(then[0]) == then[1]
+
+    with_plant(test, roster("8200vector"))

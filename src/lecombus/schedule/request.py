@@ -139,6 +139,7 @@ class Request:
             directly before each telegram that writes; None: it needs no lease.
         says: For a write: what it changes, such as a code; equal for two that change the same.
         halts: It is a plain write that stops its drives.
+        lifts_nothing: Besides, it stops them in any state, and can lift no other stop.
 
     The fields after it belong to the schedule; no other module writes them.
     """
@@ -163,6 +164,7 @@ class Request:
     lease_ended: Callable[[], bool] | None = None
     says: Hashable | None = None
     halts: bool = False
+    lifts_nothing: bool = False
     settled: bool = field(default=False, repr=False)
     # -- bookkeeping of the schedule ------------------------------------------------------------
     state: int = field(default=0, init=False, repr=False)  # OUT, QUEUED, DEFERRED, UNDER_WAY

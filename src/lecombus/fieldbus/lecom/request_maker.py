@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 
 from lecombus.drives import Family, StopAction, stop_steps
 from lecombus.drives.measured import SlowAnswers
-from lecombus.drives.stops import STOP_PATIENCE_S, asks_to_stop
+from lecombus.drives.stops import STOP_PATIENCE_S, asks_to_stop, stops_every_drive
 from lecombus.errors import OperationError
 from lecombus.fieldbus.costs import Cost, LineTiming
 from lecombus.fieldbus.lecom.address_codes import address_code
@@ -239,6 +239,7 @@ class LecomRequestMaker:
             documented=self._documented(documented, cost),
             says=code,
             halts=asks_to_stop(station.family, code, value),
+            lifts_nothing=stops_every_drive(station.family, code, value),
         )
 
     def read_back(
@@ -359,6 +360,7 @@ class LecomRequestMaker:
             expires_at_s=expires_at_s,
             says=code,
             halts=all(asks_to_stop(one.family, code, value) for one in members),
+            lifts_nothing=all(stops_every_drive(one.family, code, value) for one in members),
         )
 
     def shared_form(self, stations: Sequence[Station], code: Code) -> AddressForm | None:
