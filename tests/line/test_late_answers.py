@@ -307,3 +307,43 @@ def test_answers_that_are_lost_as_tolerated_leave_standard_addressing_codes_to_f
         assert [drive.watchdog_fired for drive in plant.line.drives] == fired
 
     with_plant(test, roster)
+
+
+@pytest.mark.parametrize("damage", [0, 1], ids=["whole", "damaged"])
+@pytest.mark.parametrize("stops", [False, True], ids=["read", "stop"])
+def test_nothing_shortens_the_turnaround_behind_a_late_answer(damage: int, stops: bool) -> None:
+    async def test(rig: Rig) -> None:
+        rig.line.drive_faults[1] = Faults(lost=1.0)
+        await rig.read("a", 150).done.wait()
+        before = len(rig.sent)
+        if not stops:
+            rig.read("b", 150)
+        await anyio.sleep(0.09)
+        late = answer(b"?0", b"H1234")
+        rig.end.say(late[:-1] + bytes((late[-1] ^ damage,)))
+        came_s = rig.now_s
+        if stops:
+            stop(rig, "b")
+        await until(lambda: len(rig.sent) > before)
+        assert rig.sent[before].at_s >= came_s + 0.1 - 1e-9
+
+    with_rig(test, retries=0, options=WorkerOptions(turnaround_s=0.1))
+
+
+def test_what_was_listened_for_before_the_port_was_lost_is_not_measured_behind_it() -> None:
+    async def test(rig: Rig) -> None:
+        rig.line.drive_faults[1] = Faults(lost=1.0)
+        for pause_s in (1.5, 1.5, 0.01):  # behind the third one it listens longer
+            await rig.read("a", 150).done.wait()
+            await anyio.sleep(pause_s)
+        rig.end.unplug()
+        await anyio.sleep(60.0)
+        rig.line.drive_faults[1] = Faults()
+        rig.end.replug()
+        await until(lambda: rig.worker.is_open)
+        await anyio.sleep(0.2)
+        for _ in range(2):
+            rig.end.say(answer(b"?0", b"H1234"))
+        assert rig.stations["a"].measured.rows() == []
+
+    with_rig(test, retries=0)

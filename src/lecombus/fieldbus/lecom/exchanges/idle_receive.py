@@ -97,6 +97,11 @@ class BusIdleTimer:
         """An exchange ended, with or without its answer."""
         self.free_at_s = ended_s + self.turnaround_s
 
+    def late_answer_ended(self, now_s: float) -> None:
+        """A late answer has ended, whole or damaged: no stop breaks the turnaround behind it."""
+        turned_s = min(now_s + self.turnaround_s, self._chatter_ends_s)
+        self.free_at_s = max(self.free_at_s, turned_s)
+
     def answer_missing(self, ended_s: float, quarantine_s: float) -> None:
         """It ended without its answer."""
         self._quarantine(ended_s, quarantine_s)
@@ -161,11 +166,13 @@ class UnsolicitedBytes:
         # Asked last, and listened for since.
         self.awaited: tuple[bytes, UnansweredRead] | None = None
         self.bytes_total = 0
+        self.ends_answer = False  # the last bytes, of a whole or a damaged one
         self._begun_at = 0
 
     def opened(self, *, parity: bool) -> None:
         """A port was opened; bytes carry even parity in bit 7 if `parity`."""
         self._parser = AnswerParser(parity=parity)
+        self.awaited = None
 
     def begin(self) -> None:
         """Start again: an exchange has just been given up."""
@@ -189,6 +196,7 @@ class UnsolicitedBytes:
         """
         self.bytes_total += len(data)
         answer = self._parser.feed(data)
+        self.ends_answer = answer is not None
         if answer is None:
             return False
         self._parser.reset()
@@ -335,8 +343,9 @@ class IdleReceive:
             self._end(now_s)
             self._over()
         over = late and not self._late_answers.any(now_s)
-        if late:  # it is the end of an answer, too
+        if self._unsolicited.ends_answer:
             gap_s = max(gap_s, self._bus_idle.turnaround_s)
+            self._bus_idle.late_answer_ended(now_s)
         self._bus_idle.heard(now_s, gap_s, none_is_late=over)
         if self._unsolicited.is_endless:
             self._unsolicited.begin()
