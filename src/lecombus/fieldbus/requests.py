@@ -254,6 +254,7 @@ class RequestMaker(Protocol):
         last_word: Callable[[], int | None] = lambda: None,
         said: bool,
         settle: Settle,
+        repeats: bool = False,
         silent: bool = False,
         offline: bool = False,
         may_inhibit: bool = True,
@@ -269,6 +270,8 @@ class RequestMaker(Protocol):
             last_word: Gives its control word as it was known last.
             said: A multicast has said the stop already: begin with the proof.
             settle: See above.
+            repeats: A multicast has said it to a drive that read as stopped before: it is said
+                once more, and feeds may go first.
             silent: The drive did not answer before.
             offline: It did not answer for so long that it was taken for absent.
             may_inhibit: A quick stop that cannot be had may become an inhibit.

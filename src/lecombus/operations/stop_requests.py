@@ -5,7 +5,8 @@ may still receive), and it needs no permission. After a multicast stop every mem
 member that does not show the stop is stopped by a separate telegram. So is one that showed it
 before and was not stopped by the line: its reading would not show that it heard the multicast. A
 second stop of a drive that is asked for while the first waits shares the first one's telegram and
-outcome.
+outcome. Members that may run go first; telegrams to those that showed the stop before let feeds of
+other drives' watchdogs go ahead.
 """
 
 from __future__ import annotations
@@ -82,15 +83,22 @@ class Stops:
         shared = self._shared_stop(target, stations, able, action)
         if shared is not None:
             self._submit_shared(target, action, shared)
-        # Drives that answer first: each attempt at a silent one waits for its time-out.
+        otherwise = {
+            one.name
+            for one in able
+            if self._context.stands_otherwise(one, one.family.stops[action].code)
+        }
+        # Drives that may run, and of these those that answer: each attempt at a silent one waits
+        # for its time-out.
+        order = sorted(able, key=lambda one: (one.name in otherwise, self._context.silence_of(one)))
         endings = {
             one.name: self._say_stop(
                 one,
                 action,
-                said=shared is not None
-                and not self._context.stands_otherwise(one, one.family.stops[action].code),
+                said=shared is not None and one.name not in otherwise,
+                repeats=shared is not None and one.name in otherwise,
             )
-            for one in sorted(able, key=self._context.silence_of)
+            for one in order
         }
         reports = [await self._stop_report(one, endings[one.name]) for one in able]
         reports += [
@@ -165,7 +173,9 @@ class Stops:
         self._context.requests.worker.submit(shared)
         self._shared[target, action] = shared
 
-    def _say_stop(self, station: Station, action: StopAction, *, said: bool) -> Ending:
+    def _say_stop(
+        self, station: Station, action: StopAction, *, said: bool, repeats: bool
+    ) -> Ending:
         """Submit a stop of one drive, or join one of the same kind that waits."""
         self._context.stop_marks.note_stop(station.name)
         ending = Ending()
@@ -174,19 +184,19 @@ class Stops:
         if (
             waiting is not None
             and same
-            and self._context.requests.worker.schedule.join(waiting.request)
+            and self._context.requests.worker.schedule.join(waiting.request, yields=repeats)
         ):
             ending.request = waiting.request
             waiting.endings.append(ending)
             return ending
-        self._submit_stop(station, action, ending, said=said)
+        self._submit_stop(station, action, ending, said=said, repeats=repeats)
         if action is StopAction.INHIBIT:
             # A quick stop that comes before this inhibit is sent must not lift it.
             self._context.control_word(station.name).inhibiting()
         return ending
 
     def _submit_stop(
-        self, station: Station, action: StopAction, ending: Ending, *, said: bool
+        self, station: Station, action: StopAction, ending: Ending, *, said: bool, repeats: bool
     ) -> None:
         name, endings = station.name, [ending]
 
@@ -203,7 +213,7 @@ class Stops:
             station, action, word=lambda: self._context.control_word(name).word(),
             inhibited=lambda: self._context.control_word(name).inhibited(),
             last_word=lambda: self._context.control_word(name).last(), said=said, settle=settle,
-            silent=bool(self._context.silence_of(station)),
+            repeats=repeats, silent=bool(self._context.silence_of(station)),
             offline=absent,
             may_inhibit=entry is None or entry.stop_fallback == "inhibit",
             patience_s=ABSENT_PATIENCE_S if absent else STOP_PATIENCE_S,

@@ -130,7 +130,7 @@ class Request:
             made them longer; None: they did not.
         cut_outcome: How it ends when a stop, a later request, a parked drive or a lost line cuts
             it off between two of its steps. The line sets it after each step.
-        yields: For a stop: only more proof is wanted, and it waits for feeds (`silent_stops`).
+        yields: For a stop: its drive shows it already, and it waits for feeds (`silent_stops`).
         hold_s: Its drive may have to be left alone for so long afterwards, also if it is not
             answered, seconds.
         is_gone: Says whether the client that asked for it has left. The line asks directly before

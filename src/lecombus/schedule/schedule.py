@@ -161,10 +161,10 @@ class Schedule(DriveTable):
         under_way = self._speaking_to is not None and drive in self._reaching
         return stops or under_way or self._speaking_to == drive
 
-    def join(self, stop: Request) -> bool:
+    def join(self, stop: Request, *, yields: bool = False) -> bool:
         """Let a stop that was not yet sent stand for a new one like it; return whether it can."""
         self._lookahead.invalidate()
-        return self._waiting.join(stop)
+        return self._waiting.join(stop, yields=yields)
 
     def withdraw(self, request: Request, outcome: Outcome, reason: str) -> bool:
         """End a request if it still waits; return whether it did."""

@@ -181,7 +181,7 @@ class Waiting:
     def _submit_stop(self, request: Request) -> None:
         """Take a stop, and end the writes that wait for the drives it stops."""
         self.number(request)
-        if request.drive in self.silent:
+        if self.yields(request):
             request.place += _LAST
         queue = self.queues[Priority.STOP]
         request.state = QUEUED
@@ -189,8 +189,12 @@ class Waiting:
         queue.depth += 1
         self._end_writes(request)
 
-    def join(self, request: Request) -> bool:
+    def join(self, request: Request, *, yields: bool) -> bool:
         """Let a stop that waits and was never sent stand for another one asked for just now.
+
+        Args:
+            request: The stop that waits.
+            yields: The other one would let feeds go first, too.
 
         Returns:
             Whether it can: it waits, so that nothing but other stops goes out before it, and
@@ -200,8 +204,22 @@ class Waiting:
             return False
         self._serial += 1
         request.serial = self._serial  # writes asked for before the later stop end as well
+        if request.yields and not yields:
+            request.yields = False
+            if not self.yields(request):
+                self._move(request, -_LAST)
         self._end_writes(request)
         return True
+
+    def _move(self, request: Request, by: int) -> None:
+        """Give a stop another place; one that waits for a time takes it afterwards."""
+        queue = self.queues[Priority.STOP]
+        queued = request.state == QUEUED
+        if queued:
+            queue.remove(request)
+        request.place += by
+        if queued:
+            queue.put(request)
 
     def _end_writes(self, request: Request) -> None:
         """End the writes that wait for the drives a stop stops."""
@@ -243,16 +261,10 @@ class Waiting:
             self.silent.add(name)
         else:
             self.silent.discard(name)
-        queue = self.queues[Priority.STOP]
         for request in self.listed(drive=name, stops=True):
             if request.priority is not Priority.STOP or request.members or request.yields:
                 continue  # what yields has its place behind all others already
-            queued = request.state == QUEUED
-            if queued:
-                queue.remove(request)
-            request.place += _LAST if silent else -_LAST
-            if queued:
-                queue.put(request)
+            self._move(request, _LAST if silent else -_LAST)
 
     def take_back(self, request: Request, until_s: float, now_s: float) -> None:
         """Take back a request that was chosen, to wait until a time and then at its place."""

@@ -276,6 +276,7 @@ class LecomRequestMaker:
         last_word: Callable[[], int | None] = lambda: None,
         said: bool,
         settle: Settle,
+        repeats: bool = False,
         silent: bool = False,
         offline: bool = False,
         may_inhibit: bool = True,
@@ -285,8 +286,8 @@ class LecomRequestMaker:
         times = self._longest_of_stop(station, action)
         job = StopJob(
             station, action, word=word, inhibited=inhibited, retries=self.retries, said=said,
-            silent=silent, offline=offline, may_inhibit=may_inhibit, duplicates=self.duplicates,
-            patience_s=patience_s, last_word=last_word, times=times,
+            repeats=repeats, silent=silent, offline=offline, may_inhibit=may_inhibit,
+            duplicates=self.duplicates, patience_s=patience_s, last_word=last_word, times=times,
         )  # fmt: skip
         usual = self._read_cost(station, station.family.stops[action].code)
         return Request(
@@ -297,6 +298,7 @@ class LecomRequestMaker:
             self._counted(Priority.STOP, settle),
             job,
             stops=(station.name,),
+            yields=repeats,
         )
 
     def _longest_of_stop(self, station: Station, action: StopAction) -> LongestTimes:

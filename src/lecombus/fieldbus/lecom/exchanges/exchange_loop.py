@@ -551,7 +551,7 @@ class LecomExchangeLoop:
             request.cut_outcome = job.cut_outcome
             behind, not_before_s = False, ended
             if type(job) is StopJob:
-                behind, request.yields = job.goes_behind, job.only_proves
+                behind, request.yields = job.goes_behind, job.yields
                 request.worst_s = job.longest_s(request.worst_s)
                 if job.pause_s:  # others may use the line only after the quarantine
                     not_before_s += quarantined_s + job.pause_s

@@ -56,9 +56,9 @@ __all__ = ["LongestTimes", "StopJob"]
 LEAST_INHIBIT_S = 1.5
 """What an inhibit in a quick stop's place is tried for at least, seconds."""
 
-PROVING_S = 1.0
+PROVING_S = 2.0
 """If one reading already shows the stop, it gets this much extra time for the other readings,
-seconds."""
+seconds: on a full line each of them may wait for a round of feeds."""
 
 UNSHOWN_S = 1.0
 """A quick stop that was acknowledged gets this long to show before it is taken for without effect,
@@ -97,6 +97,8 @@ class StopJob(StopWork):
             inhibited and cannot be read: its answers may be lost and not its hearing.
         retries: How often a failed attempt is repeated without a pause.
         said: The stop was already said by a multicast; begin with reading back.
+        repeats: A multicast said it, but the drive read as stopped before: say it once more, and
+            let feeds go first.
         silent: The drive did not answer before: its stop takes more to be shown.
         offline: It was offline: also where answers come twice, more must be its own.
         may_inhibit: A quick stop that cannot be had may become an inhibit.
@@ -115,6 +117,7 @@ class StopJob(StopWork):
         last_word: Callable[[], int | None] = lambda: None,
         retries: int,
         said: bool = False,
+        repeats: bool = False,
         silent: bool = False,
         offline: bool = False,
         may_inhibit: bool = True,
@@ -139,6 +142,7 @@ class StopJob(StopWork):
         self._since_s: float | None = None
         self._ended_s = -math.inf  # its last exchange
         self._checking, self._least_sayings = said, LEAST_STOP_ATTEMPTS - said
+        self._repeats = repeats
         self._learning = False
         self._read_word: int | None = None  # read for the telegram that comes next
         self._read_inhibit: bool | None = None  # likewise
@@ -174,6 +178,11 @@ class StopJob(StopWork):
     def goes_behind(self) -> bool:
         """Whether stops that wait go first: not before one whose word has just been read."""
         return not self._is_ready or self.action is StopAction.INHIBIT
+
+    @property
+    def yields(self) -> bool:
+        """Whether feeds may go first: as far as is known the drive is stopped."""
+        return self.only_proves or (self._repeats and not self._unshown)
 
     @property
     def only_proves(self) -> bool:
