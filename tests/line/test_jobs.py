@@ -645,7 +645,7 @@ def test_an_offline_drive_that_shows_nothing_of_its_own_is_not_confirmed() -> No
         verdict = proven(job, SHOWN, at_s)[1]
     assert verdict[0] is UNKNOWN
     assert "it was offline, and its acknowledgement may be another drive's" in verdict[1]
-    assert at_s < 7.0
+    assert 7.0 < at_s < 8.0  # two seconds more for what is missing
 
 
 def test_another_drives_address_is_no_proof() -> None:
@@ -690,7 +690,7 @@ def test_an_address_that_was_not_asked_for_is_not_said_to_read_otherwise() -> No
     job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=1, silent=True)
     at_s, verdict = 0.0, job.advance(RESULTS["ack"])
     while verdict is None:
-        at_s = at_s + 0.1 if at_s < 4.9 else 6.2
+        at_s = at_s + 0.1 if at_s < 4.9 else 7.2
         step, result = job.step, RESULTS["ack"]
         if step.kind is StepKind.READ:
             assert step.form is not None
