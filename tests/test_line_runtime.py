@@ -198,6 +198,19 @@ def test_drives_that_are_being_started_raise_no_alarm_about_the_cadence() -> Non
     with_plant(test, roster_text(many, drive=dog))
 
 
+def test_a_line_without_answers_raises_no_alarm_about_the_cadence() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await anyio.sleep(20.0)
+        plant.line.faults = Faults(lost=1.0)
+        for _ in range(60):
+            await anyio.sleep(0.5)
+            plant.site.supervision.watch.look()
+            assert "cadence" not in plant.site.store.line().remarks
+
+    with_plant(test, roster_text(AB, drive="cyclic: [{code: C0150, every: 100ms}]"))
+
+
 def test_a_drive_that_never_ends_starting_hides_the_remark_for_minutes_only() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()

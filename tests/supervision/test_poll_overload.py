@@ -14,7 +14,7 @@ def remarks(
 ) -> list[bool]:
     found = []
     for now_s in seconds:
-        overload.note(stretch, now_s, is_open=True)
+        overload.note(stretch, now_s, answers=True)
         found.append("cadence" in store.line().remarks)
     return found
 
@@ -27,7 +27,7 @@ def test_a_line_that_is_stretched_for_long_is_remarked_on() -> None:
 def test_what_a_pause_of_the_daemon_stretched_is_no_remark() -> None:
     store = Store(lambda: 0.0, lambda: 0.0)
     overload = PollOverload(store)
-    overload.note(1.0, 100.0, is_open=True)
+    overload.note(1.0, 100.0, answers=True)
     after = [105.0 + one for one in range(LONG)]
     found = remarks(overload, store, after)
     assert not any(found[: round(STRETCH_WINDOW_S)])
@@ -38,5 +38,5 @@ def test_what_the_stop_of_a_silent_drive_stretched_is_no_remark() -> None:
     store = Store(lambda: 0.0, lambda: 0.0)
     overload = PollOverload(store)
     for now_s in range(LONG):
-        overload.note(2.0, float(now_s), is_open=True, stopping=now_s >= LONG - 3)
+        overload.note(2.0, float(now_s), answers=True, stopping=now_s >= LONG - 3)
     assert "cadence" not in store.line().remarks

@@ -38,9 +38,9 @@ PART: Final = 2 / 3
 class PollOverload:
     """The remark on a line that cannot hold the cyclic reads it was asked for.
 
-    What a line could not do while it was closed, while its drives were being started or stopped, or
-    while the daemon did not run, is not what it cannot hold: the periods of that time are given as
-    they were (`cyclic_stretch_ratio`), and no remark is made of them.
+    What a line could not do while it was closed, while no drive was online, while drives were being
+    started or stopped, or while the daemon did not run, is not what it cannot hold: the periods of
+    that time are given as they were (`cyclic_stretch_ratio`), and no remark is made of them.
 
     Args:
         store: Gets the factor, and the remark.
@@ -48,7 +48,7 @@ class PollOverload:
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self._closed_at_s = -math.inf  # when it was last closed, starting, stopping or paused
+        self._closed_at_s = -math.inf  # last closed, silent, starting, stopping or paused
         self._starting_from_s: float | None = None
         self._noted_s = math.inf
 
@@ -57,7 +57,7 @@ class PollOverload:
         stretch: float,
         now_s: float,
         *,
-        is_open: bool,
+        answers: bool,
         starting: bool = False,
         stopping: bool = False,
     ) -> None:
@@ -66,7 +66,7 @@ class PollOverload:
         Args:
             stretch: The factor by which cyclic periods grew in the last seconds, 1 or more.
             now_s: Monotonic seconds.
-            is_open: Whether the line is open.
+            answers: Whether the line is open, and a drive is online.
             starting: Whether drives are being started.
             stopping: Whether stops wait, such as that of a drive that does not answer.
         """
@@ -78,7 +78,7 @@ class PollOverload:
         paused = now_s - self._noted_s >= PAUSED_FROM_S
         self._noted_s = now_s
         begins = begun_s is not None and now_s - begun_s < STARTING_MOST_S
-        if paused or stopping or begins or not is_open:
+        if paused or stopping or begins or not answers:
             self._closed_at_s = now_s
         self._store.set_stretch(stretch)
         text = None

@@ -94,11 +94,13 @@ class LineWatch:
         self._line.health.check_overdue()
         self._log_lapses(stats.feeds)
         self._keep_lapses(now_s)
-        starting = any(drive.health.state is DriveState.STARTING for drive in self._drives)
-        is_open = self._worker.is_open
-        stopping = bool(self._worker.schedule.stops())
+        states = {drive.health.state for drive in self._drives}
         self._overload.note(
-            stats.stretch, now_s, is_open=is_open, starting=starting, stopping=stopping
+            stats.stretch,
+            now_s,
+            answers=self._worker.is_open and DriveState.ONLINE in states,
+            starting=DriveState.STARTING in states,
+            stopping=bool(self._worker.schedule.stops()),
         )
 
     def wants_look_at_port(self) -> bool:
