@@ -105,8 +105,8 @@ def test_a_93xx_that_an_attempt_before_has_moved_is_not_said_to_keep_its_rate() 
     assert again.places == {"93xx": "new", "822x": "old"}
     again.before = lambda _: setattr(again.work.line, "interrupted", True)
     again.move()
-    assert situation(again.work.drives[0], again.work) == "at 19200 baud, not saved"
-    assert any("switched off and on, it is at 9600 baud" in one for one in told(again))
+    assert situation(again.work.drives[0], again.work) == "at 19200 baud, perhaps not saved"
+    assert any("if it has not saved, it is at 9600 baud" in one for one in told(again))
 
 
 # ---- what goes wrong ----------------------------------------------------------------------------

@@ -44,8 +44,10 @@ def situation(drive: RebaudDrive, work: Rebaud) -> str:
         case DrivePlace.UNSEEN:
             return "not asked to the end; nothing was written to it"
         case DrivePlace.OLD | DrivePlace.NEW:
-            unsaved = ", not saved" if _needs_saving(drive, work) else ""
-            return f"at {drive.rate} baud{unsaved}"
+            if not _needs_saving(drive, work):
+                return f"at {drive.rate} baud"
+            is_known = drive.saved is False or drive.writes > 0  # not by an attempt before
+            return f"at {drive.rate} baud, {'' if is_known else 'perhaps '}not saved"
         case DrivePlace.WRITTEN:
             return f"at {old} or {new} baud: a write ended, and it was not looked for since"
         case DrivePlace.PENDING:
@@ -82,7 +84,7 @@ def what_to_do(work: Rebaud, roster: str, present: int) -> list[str]:
 def _after_success(work: Rebaud, roster: str, present: int) -> list[str]:
     unsaved = [drive for drive in work.drives if _needs_saving(drive, work)]
     told = [
-        f"{drive.name} falls back to {work.old} baud when it is switched off, unless it saves: "
+        f"{drive.name} falls back to {work.old} baud when it is switched off, if it has not saved: "
         f"start the daemon and `lecombus write {drive.name} {_saving_code(drive)} 1`"
         for drive in unsaved
     ]
@@ -108,7 +110,9 @@ def _one_by_one(work: Rebaud) -> list[str]:
         elif drive.place is DrivePlace.PENDING:
             told.append(f"{name}: switch it off and on, so that it takes the rate in {code}")
         elif drive.place is DrivePlace.NEW and _needs_saving(drive, work):
-            told.append(f"{name}: it has not saved: switched off and on, it is at {work.old} baud")
+            told.append(
+                f"{name}: if it has not saved, it is at {work.old} baud when switched off and on"
+            )
     return told
 
 
