@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import serial
 
 from cli.conftest import Run
 from cli.test_simulate import simulated
@@ -285,12 +286,15 @@ def test_a_port_lost_before_the_first_write_says_that_nothing_was_written(
     assert "the port is gone; nothing was written" in ran.err
 
 
+@pytest.mark.parametrize("error", [PermissionError, serial.SerialException])
 def test_a_port_that_may_not_be_opened_is_a_matter_of_permission(
-    run: Run, roster: Path, line: RebaudLine
+    run: Run, roster: Path, line: RebaudLine, error: type[OSError]
 ) -> None:
+    """Of a serial port it is pyserial's own error, which only has the number."""
+
     def before(step: Step) -> None:
         lost = LineLostError("no permission for the port", line="bench")
-        raise lost from PermissionError(errno.EACCES, "Permission denied")
+        raise lost from error(errno.EACCES, "Permission denied")
 
     line.before = before
     assert run("rebaud", "19200", "-c", str(roster), "--dry-run").status == 4

@@ -15,6 +15,7 @@ import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -280,6 +281,47 @@ def test_a_daemon_is_asked_only_for_addresses_that_its_roster_does_not_have(
         "/v1/line/addresses/12/codes/C0248",
         "/v1/line/addresses/13/codes/C0249",
     ]
+
+
+class InTurn(dict[str, tuple[int, str | None]]):
+    """Answers that change: each but the last of a list is given once."""
+
+    def __init__(self, lists: dict[str, list[tuple[int, str | None]]]) -> None:
+        super().__init__()
+        self._lists = lists
+
+    def get(self, asked: str, default: Any = None) -> Any:
+        """Return the next answer to what is asked."""
+        answers = self._lists.get(asked)
+        if answers is None:
+            return default
+        return answers.pop(0) if len(answers) > 1 else answers[0]
+
+
+@pytest.mark.parametrize("is_opened", [True, False], ids=["opened again", "stays lost"])
+def test_a_port_that_the_daemon_opens_again_as_no_drive_answers_ends_no_scan(
+    run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch, is_opened: bool
+) -> None:
+    monkeypatch.setattr(scan, "REOPENED_WITHIN_S", 0.3)
+    why = "no drive answers: cat (pid 7) has /dev/x open too"
+    line = {"line": "hall-3", "port": "/dev/x", "baud": 9600, "remarks": {"silence": why}}
+    lost = (200, json.dumps({**line, "state": "lost"}))
+    is_open = (200, json.dumps({**line, "state": "open"}))
+    silence = {"heard": "silence", "raw": None, "received": None, "disturbances": 0}
+    nothing = (200, json.dumps(silence))
+    gone = (503, json.dumps({"type": "urn:lecombus:problem:line-lost", "status": 503,
+                             "title": "Line lost", "detail": "no byte for 30 s"}))  # fmt: skip
+    path = "GET /v1/line/addresses/12/codes/{}?addressing=standard&family=generic&patient=false"
+    daemon.answers = InTurn({
+        "GET /v1/line": [is_open, lost, is_open] if is_opened else [is_open, lost],
+        "GET /v1/drives": [(200, json.dumps({"drives": []}))],
+        path.format("C0248"): [gone, nothing],
+        path.format("C0249"): [gone, nothing],
+    })  # fmt: skip
+    ran = run("scan", "--addresses", "12")
+    assert (ran.status, ran.out) == (1, "")
+    assert (why in ran.err) == is_opened
+    assert ("no byte for 30 s" in ran.err) != is_opened
 
 
 def test_an_older_daemon_is_told_from_a_line_without_drives(run: Run, daemon: DaemonStub) -> None:

@@ -7,7 +7,6 @@ with `--json`) and the exit status that `exits` defines; only a bug shows a trac
 
 from __future__ import annotations
 
-import errno
 import json
 import logging
 import os
@@ -19,7 +18,7 @@ from typing import Final
 import click
 
 from lecombus import __version__
-from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.exits import CommandError, Exit, Problem, status_of_cause
 from lecombus.errors import (
     CodeValueError,
     ConfigError,
@@ -162,10 +161,9 @@ def _as_command_error(exc: Exception) -> CommandError:
         return CommandError(Exit.USAGE, exc.format_message(), _how_to_call(exc))
     if isinstance(exc, OSError):
         return _as_system_error(exc)
-    status = Exit.USAGE if isinstance(exc, ConfigError | CodeValueError) else Exit.FAILED
-    cause = exc.__cause__  # such as a port that may not be opened
-    if isinstance(cause, OSError) and cause.errno in (errno.EACCES, errno.EPERM):
-        status = Exit.FORBIDDEN
+    status = status_of_cause(exc)
+    if status is Exit.FAILED and isinstance(exc, ConfigError | CodeValueError):
+        status = Exit.USAGE
     lines = str(exc).splitlines() or [type(exc).__name__]
     if isinstance(exc, OperationError):
         return CommandError(status, " ".join(lines), exc.remedy, exc.kind, exc.drive, exc.code)

@@ -6,10 +6,11 @@ A command that cannot go on raises `CommandError` with one `Problem` for each th
 
 from __future__ import annotations
 
+import errno
 from dataclasses import asdict, dataclass
 from enum import IntEnum
 
-__all__ = ["CommandError", "Exit", "Problem"]
+__all__ = ["CommandError", "Exit", "Problem", "status_of_cause"]
 
 
 class Exit(IntEnum):
@@ -87,3 +88,14 @@ class CommandError(Exception):
         error = cls(status, "\n".join(map(str, problems)))
         error.problems = problems
         return error
+
+
+def status_of_cause(error: BaseException) -> Exit:
+    """Return how a failure counts: a port that may not be opened is a matter of permission.
+
+    pyserial's errors are an OSError with a number, and no PermissionError.
+    """
+    cause = error.__cause__
+    if isinstance(cause, OSError) and cause.errno in (errno.EACCES, errno.EPERM):
+        return Exit.FORBIDDEN
+    return Exit.FAILED

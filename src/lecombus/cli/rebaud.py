@@ -15,7 +15,7 @@ import click
 
 from lecombus.capacity.watchdog_feasibility import find_infeasible
 from lecombus.cli.arguments import json_option, roster_option
-from lecombus.cli.exits import CommandError, Exit, Problem
+from lecombus.cli.exits import CommandError, Exit, Problem, status_of_cause
 from lecombus.cli.own_line import OwnPort, own_port
 from lecombus.cli.screen import can_ask, make_sure, on_terminal, progress, show_rows
 from lecombus.config import DriveEntry, Roster, load_roster
@@ -250,8 +250,7 @@ def _ask_drives(work: Rebaud, roster: Roster, *, quiet: bool) -> None:
     try:
         _carry(work, work.check, roster, Shown("asking drives", RebaudDrive.is_seen, quiet=quiet))
     except LecombusError as exc:
-        status = Exit.FORBIDDEN if isinstance(exc.__cause__, PermissionError) else Exit.FAILED
-        raise CommandError(status, str(exc), "nothing was written") from exc
+        raise CommandError(status_of_cause(exc), str(exc), "nothing was written") from exc
     if work.line.interrupted:
         raise CommandError(Exit.INTERRUPTED, "interrupted", "nothing was written")
 

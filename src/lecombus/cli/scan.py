@@ -22,7 +22,7 @@ from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.own_line import OwnPort, own_port
 from lecombus.cli.screen import Bar, on_terminal, progress, show_rows
 from lecombus.cli.whole_file import write_whole
-from lecombus.client import Line, finding
+from lecombus.client import Line, ProblemError, finding
 from lecombus.config import LineEntry, RosterError, line_timing
 from lecombus.config.building import STATE_DIR
 from lecombus.drives import family
@@ -54,6 +54,12 @@ Watch = Callable[[], None]
 
 MEASURED = 5
 """From this number of addresses on, the measured time of an address replaces the computed one."""
+
+REOPENED_WITHIN_S = 10.0
+"""A daemon opens its port again where no drive answers for a time; a scan waits so long for it."""
+
+LOOK_EVERY_S = 0.2
+"""How often it looks meanwhile whether the port is open."""
 
 ALL_BAUDS = (9600, 19200, 4800, 2400, 1200)
 """The rate ex works first, then the most usual one."""
@@ -466,6 +472,10 @@ class _OnOwnPort:
         return Heard(HeardKind.SILENCE, received=own.take_strays(), disturbances=own.disturbances)
 
 
+def _pause(for_s: float) -> None:
+    time.sleep(for_s)
+
+
 @dataclass(frozen=True, slots=True)
 class _ByDaemon:
     """`AddressAccess` through a running daemon."""
@@ -476,12 +486,12 @@ class _ByDaemon:
     async def ask(self, ask: Question) -> Heard:
         """Read a code at an address, once."""
         self.watch()
-        path = f"/v1/line/addresses/{ask.address}/codes/{ask.code}"
-        said = await self.line.ask(
-            path, addressing=ask.form.value, family=ask.family,
-            patient="true" if ask.patient else "false",
-        )  # fmt: skip
-        answer: dict[str, Any] = said.data
+        try:
+            answer = await self._answer(ask)
+        except ProblemError as exc:
+            if exc.kind != "line-lost" or not await self._is_open_again():
+                raise
+            answer = await self._answer(ask)
         raw = answer.get("raw")
         return Heard(
             HeardKind(answer["heard"]),
@@ -489,6 +499,24 @@ class _ByDaemon:
             bytes.fromhex(answer.get("received") or ""),
             int(answer.get("disturbances") or 0),
         )
+
+    async def _answer(self, ask: Question) -> dict[str, Any]:
+        path = f"/v1/line/addresses/{ask.address}/codes/{ask.code}"
+        said = await self.line.ask(
+            path, addressing=ask.form.value, family=ask.family,
+            patient="true" if ask.patient else "false",
+        )  # fmt: skip
+        answer: dict[str, Any] = said.data
+        return answer
+
+    async def _is_open_again(self) -> bool:
+        """Wait for a port that the daemon opens again; its requests block, so this does too."""
+        until_s = time.monotonic() + REOPENED_WITHIN_S
+        while (await self.line.ask("/v1/line")).data.get("state") != "open":
+            if time.monotonic() > until_s:
+                return False
+            _pause(LOOK_EVERY_S)
+        return True
 
     async def listen(self, baud: int, for_s: float) -> Heard:
         """A daemon has listened to its line already."""
