@@ -530,6 +530,33 @@ def test_a_ctrl_c_during_a_restore_says_what_was_written_and_how_to_go_on(
         assert "Run the same command again: it goes on with what is missing" in ran.err
 
 
+@pytest.mark.parametrize("as_json", [False, True])
+def test_a_drive_that_leaves_the_roster_during_a_restore_says_what_was_written(
+    run: Run, drive: Drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, as_json: bool
+) -> None:
+    (tmp_path / "expected").touch()
+    path = to_restore(run, drive, tmp_path)
+    drive.takes("C0011")
+    plain = Notes.done
+
+    def done(notes: Notes, code: Code, value: Value) -> None:
+        plain(notes, code, value)
+        gone = problem("no-such-drive", 404, "there is no drive feeder")
+        drive.stub.answers.update(dict.fromkeys(drive.stub.answers, gone))
+        drive.stub.answers[f"PUT {drive.path}/codes/C2011"] = gone
+
+    monkeypatch.setattr(Notes, "done", done)
+    ran = run("restore", str(path), "feeder", "--yes", *(["--json"] if as_json else []))
+    assert ran.status == 2
+    assert "there is no drive feeder" in ran.err
+    if as_json:
+        document = json.loads(ran.out)
+        assert document["written"] == ["C0011"]
+        assert "there is no drive feeder" in document["stopped"]
+    else:
+        assert "interrupted: 1 of 2 codes written to feeder and read back" in ran.err
+
+
 def test_a_ctrl_c_before_anything_is_written_says_so(
     run: Run, drive: Drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -218,6 +218,10 @@ def carry_out(options: RestoreOptions, seen: Seen, notes: Notes) -> int:
         result.stopped = "interrupted"
         give_result(plan, result, options, show_interrupted)
         raise
+    except CommandError as exc:  # such as a drive that a reload took out of the roster
+        result.stopped = str(exc.problems[0])
+        give_result(plan, result, options, show_interrupted)
+        raise
     if result.complete:
         notes.finish()
     enabling = ""
@@ -419,7 +423,7 @@ def show_result(plan: RestorePlan, result: Restored, drive: str, *, enabled: boo
 
 
 def show_interrupted(plan: RestorePlan, result: Restored, drive: str) -> None:
-    """Print what a restore that Ctrl-C interrupted has done, and how to continue."""
+    """Print what a restore that was cut off, as by Ctrl-C, has done, and how to continue."""
     written = len(result.written)
     of = f"{written} of {counted(len(plan.steps), 'code')}"
     more = "" if written == len(plan.steps) else "; the one under way may have been written too"

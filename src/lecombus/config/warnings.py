@@ -253,9 +253,12 @@ def _unwatched(roster: Roster) -> Iterator[str]:
              if drive.watchdog is None and family(drive.family).watchdog is not None]  # fmt: skip
     if names:
         shown = ", ".join(names[:6]) + (" .." if len(names) > 6 else "")
+        they = "they run on if the line is cut, or stop if theirs is set in the drive"
+        if len(names) == 1:
+            they = "it runs on if the line is cut, or stops if its own is set in the drive"
         yield (
             f"no watchdog is looked after in {len(names)} of {counted(roster.drives)} "
-            f"({shown}): they run on if the line is cut, or stop if theirs is set in the drive"
+            f"({shown}): {they}"
         )
 
 
