@@ -8,6 +8,7 @@ import pytest
 
 from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
+from lecombus.cli import daemon_access
 from support.golden import Golden
 
 pytestmark = pytest.mark.clock
@@ -112,3 +113,28 @@ def test_a_verb_that_was_not_done_says_what_was_seen(run: Run, daemon: DaemonStu
     assert ran.status == 1
     why = "it does not show it; a terminal is open; close it"
     assert ran.out == f"feeder\tenable\trefused\tinhibited\t\t{why}\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("enable", "feeder"), "feeder may have taken the enable, and its motor may turn; "),
+        (("set-speed", "feeder", "5", "Hz"), "feeder may have taken the set-speed; "),
+        (("write", "feeder", "C0046", "5"), "C0046 of feeder may have been written; "),
+        (("group", "all", "C0046", "5"), "C0046 of some or all drives of all may have been "),
+        (("readdress", "feeder", "12", "--yes"), "feeder may have address 12 now; "),
+    ],
+)
+def test_a_ctrl_c_while_the_daemon_works_says_what_may_have_happened(
+    run: Run, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], said: str
+) -> None:
+    """The daemon goes on with what it has begun, and nobody hears how it ended."""
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(daemon_access, "work", interrupted)
+    ran = run(*words)
+    assert (ran.status, ran.out) == (130, "")
+    assert ran.err.startswith(f"interrupted: {said}")
+    assert run(*words, "--json").err == ""

@@ -132,7 +132,8 @@ def write_command(
     --json: the daemon's document, {"drive", "code", "outcome", "reason", "cause", "reading"}.
     """
     path = f"{drive_path(drive)}/codes/{code}"
-    answer = act(daemon, "PUT", path, write_document(value, verify, expires))
+    unsure = f"{code} of {drive} may have been written; `lecombus read {drive} {code}` shows it"
+    answer = act(daemon, "PUT", path, write_document(value, verify, expires), unsure=unsure)
     show(answer, show_outcomes, as_json=daemon.as_json)
     return status_of(answer.data)
 
@@ -173,7 +174,8 @@ def group_command(
     {"how", "outcome", "members": [as write]}.
     """
     path = f"{group_path(group)}/codes/{code}"
-    answer = act(daemon, "PUT", path, write_document(value, verify, expires))
+    unsure = f"{code} of some or all drives of {group} may have been written"
+    answer = act(daemon, "PUT", path, write_document(value, verify, expires), unsure=unsure)
     show(answer, show_outcomes, as_json=daemon.as_json)
     if verify is False and was_only_sent(answer.data) and not daemon.as_json:
         click.echo(SENT_ONLY, err=True)

@@ -77,14 +77,31 @@ def ask(daemon: DaemonOptions, path: str, **params: str) -> Answer:
 
 
 def act(
-    daemon: DaemonOptions, method: str, path: str, document: Mapping[str, Json] | None = None
+    daemon: DaemonOptions,
+    method: str,
+    path: str,
+    document: Mapping[str, Json] | None = None,
+    *,
+    unsure: str = "",
 ) -> Answer:
     """Have something done; an outcome is an answer, whatever it is.
+
+    Args:
+        daemon: What the command line says of it.
+        method: The method of the request.
+        path: Its path.
+        document: Its body.
+        unsure: What may have happened all the same when Ctrl-C ends the wait for the answer.
 
     Raises:
         CommandError: The daemon cannot be reached, or says no without an outcome.
     """
-    return work(daemon, lambda line: line.act(method, path, document))
+    try:
+        return work(daemon, lambda line: line.act(method, path, document))
+    except KeyboardInterrupt:
+        if unsure and not daemon.as_json:
+            click.echo(f"interrupted: {unsure}", err=True)
+        raise
 
 
 def work(daemon: DaemonOptions, do: Callable[[Line], Awaitable[T]]) -> T:

@@ -122,7 +122,8 @@ def readdress_command(drive: str, address: int, yes: bool, daemon: DaemonOptions
     if not yes:
         known: Document = ask(daemon, path).data
         _confirm_address(known, address, may_ask=on_terminal() and not daemon.as_json)
-    answer = act(daemon, "POST", f"{path}/address", {"address": address})
+    unsure = f"{drive} may have address {address} now; `lecombus status {drive}` shows it"
+    answer = act(daemon, "POST", f"{path}/address", {"address": address}, unsure=unsure)
     show(answer, show_outcomes, as_json=daemon.as_json)
     return status_of(answer.data)
 

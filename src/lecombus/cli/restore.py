@@ -214,12 +214,8 @@ def carry_out(options: RestoreOptions, seen: Seen, notes: Notes) -> int:
     try:
         with progress(options.drive, quiet=options.daemon.as_json) as bar:
             result, stops = anyio.run(work, options, seen, notes, unsaved, bar, result.written)
-    except KeyboardInterrupt:
-        result.stopped = "interrupted"
-        give_result(plan, result, options, show_interrupted)
-        raise
-    except CommandError as exc:  # such as a drive that a reload took out of the roster
-        result.stopped = str(exc.problems[0])
+    except (KeyboardInterrupt, CommandError) as exc:  # also a drive that a reload took away
+        result.stopped = str(exc.problems[0]) if isinstance(exc, CommandError) else "interrupted"
         give_result(plan, result, options, show_interrupted)
         raise
     if result.complete:

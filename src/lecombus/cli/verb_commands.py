@@ -42,7 +42,9 @@ _SPEED = re.compile(r"\0?([+-]?[0-9.,]+(?:[eE][+-]?[0-9]+)?)\s*(.*)", re.DOTALL)
 
 def _run_verb(drive: str, verb: str, document: Mapping[str, Json], daemon: DaemonOptions) -> Exit:
     """Have a drive do something and show how it ended."""
-    answer = act(daemon, "POST", f"{drive_path(drive)}/verbs/{verb}", document)
+    turns = ", and its motor may turn" if verb == "enable" else ""
+    unsure = f"{drive} may have taken the {verb}{turns}; `lecombus status {drive}` shows it"
+    answer = act(daemon, "POST", f"{drive_path(drive)}/verbs/{verb}", document, unsure=unsure)
     show(answer, show_verb, as_json=daemon.as_json)
     return status_of(answer.data)
 
