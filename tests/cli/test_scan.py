@@ -142,6 +142,18 @@ def test_no_drive_is_said_with_what_to_look_at(run: Run, tmp_path: Path) -> None
     assert "no drive answers at 9600 baud: not one byte came back; try --all-bauds" in ran.err
 
 
+def test_another_program_that_takes_the_bytes_is_named(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who else has a port open is found out in tests/line/test_devices.py."""
+    monkeypatch.setattr("lecombus.line.devices.holders", lambda path: {12: "cat (pid 12)"})
+    with drives(tmp_path, FEW) as port:
+        ran = run("scan", "--port", port, "--addresses", "11-12")
+    assert (ran.status, ran.out) == (1, "")
+    assert f"no drive answers: cat (pid 12) has {port} open too and takes bytes" in ran.err
+    assert "end it" in ran.err
+
+
 def test_an_echo_is_told_from_silence(run: Run, tmp_path: Path) -> None:
     with drives(tmp_path, FEW, "--faults", "echo") as port:
         ran = run("scan", "--port", port, "--bauds", "19200", "--addresses", "17-18")

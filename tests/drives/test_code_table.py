@@ -211,3 +211,10 @@ def test_defaults_are_those_printed_in_bold(name: str) -> None:
     expected |= {1: "0"} if name in EIGHT.split() else {}
     expected |= {127: "0"} if name in MIDDLE.split() else {}
     assert defaults == expected
+
+
+@pytest.mark.parametrize("name", ALL.split())
+def test_whole_numbers_have_a_step_of_one_and_no_other_code_has_a_step(name: str) -> None:
+    """The manual names no step of a setpoint: what lies between two values is the drive's own."""
+    steps = {info.code.number: info.step for info in family(name).described() if info.step}
+    assert steps == {9: 1, 248: 1, 249: 1, 1923: 1}
