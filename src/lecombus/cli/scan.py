@@ -20,9 +20,10 @@ from lecombus.cli.arguments import DaemonOptions, daemon_options, whole_path
 from lecombus.cli.daemon_access import work
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.own_line import OwnPort, own_port
+from lecombus.cli.scan_by_daemon import ByDaemon
 from lecombus.cli.screen import Bar, on_terminal, progress, show_rows
 from lecombus.cli.whole_file import write_whole
-from lecombus.client import Line, ProblemError, finding
+from lecombus.client import Line, finding
 from lecombus.config import LineEntry, RosterError, line_timing
 from lecombus.config.building import STATE_DIR
 from lecombus.drives import family
@@ -45,7 +46,7 @@ from lecombus.fieldbus.lecom.telegram_costs import read_cost
 from lecombus.line.devices import END_IT, others_at, shared
 from lecombus.line.event_loop import run
 from lecombus.operations.address_reads import read_address
-from lecombus.parameters import Code, Value
+from lecombus.parameters import Code
 from lecombus.schedule import Priority
 
 __all__ = ["scan_command"]
@@ -54,12 +55,6 @@ Watch = Callable[[], None]
 
 MEASURED = 5
 """From this number of addresses on, the measured time of an address replaces the computed one."""
-
-REOPENED_WITHIN_S = 10.0
-"""A daemon opens its port again where no drive answers for a time; a scan waits so long for it."""
-
-LOOK_EVERY_S = 0.2
-"""How often it looks meanwhile whether the port is open."""
 
 ALL_BAUDS = (9600, 19200, 4800, 2400, 1200)
 """The rate ex works first, then the most usual one."""
@@ -247,7 +242,7 @@ async def _scan_of(options: ScanOptions, line: Line) -> tuple[Scan, LineEntry, s
     with _scan_bar() as bar:
         watch = _ScanProgress(scan, _look_s(here, here.baud), bar).watch
         try:
-            await scan.run(_ByDaemon(line, watch))
+            await scan.run(ByDaemon(line, watch))
         finally:
             watch()
     return scan, here, (await line.ask("/v1/line")).data.get("remarks", {}).get("silence")
@@ -470,54 +465,3 @@ class _OnOwnPort:
         own = await self.port.at(baud)
         await anyio.sleep(for_s)
         return Heard(HeardKind.SILENCE, received=own.take_strays(), disturbances=own.disturbances)
-
-
-def _pause(for_s: float) -> None:
-    time.sleep(for_s)
-
-
-@dataclass(frozen=True, slots=True)
-class _ByDaemon:
-    """`AddressAccess` through a running daemon."""
-
-    line: Line
-    watch: Watch
-
-    async def ask(self, ask: Question) -> Heard:
-        """Read a code at an address, once."""
-        self.watch()
-        try:
-            answer = await self._answer(ask)
-        except ProblemError as exc:
-            if exc.kind != "line-lost" or not await self._is_open_again():
-                raise
-            answer = await self._answer(ask)
-        raw = answer.get("raw")
-        return Heard(
-            HeardKind(answer["heard"]),
-            None if raw is None else Value.parse(str(raw)),
-            bytes.fromhex(answer.get("received") or ""),
-            int(answer.get("disturbances") or 0),
-        )
-
-    async def _answer(self, ask: Question) -> dict[str, Any]:
-        path = f"/v1/line/addresses/{ask.address}/codes/{ask.code}"
-        said = await self.line.ask(
-            path, addressing=ask.form.value, family=ask.family,
-            patient="true" if ask.patient else "false",
-        )  # fmt: skip
-        answer: dict[str, Any] = said.data
-        return answer
-
-    async def _is_open_again(self) -> bool:
-        """Wait for a port that the daemon opens again; its requests block, so this does too."""
-        until_s = time.monotonic() + REOPENED_WITHIN_S
-        while (await self.line.ask("/v1/line")).data.get("state") != "open":
-            if time.monotonic() > until_s:
-                return False
-            _pause(LOOK_EVERY_S)
-        return True
-
-    async def listen(self, baud: int, for_s: float) -> Heard:
-        """A daemon has listened to its line already."""
-        return Heard(HeardKind.SILENCE)
