@@ -18,7 +18,7 @@ from lecombus.operations.awaited_requests import Requests, never_sent
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority
 from support.single_drives import drive_of
-from support.site_host import Rig, with_rig
+from support.site_host import Rig, stop, until, with_rig
 
 STATUS = Code(150)
 
@@ -39,6 +39,32 @@ def test_a_read_gives_its_value_and_a_write_its_outcome() -> None:
         assert await requests.read(one, Code(46), Priority.INTERACTIVE) == Value.parse("0")
         ended = await requests.write(one, Code(46), Value.decimal(20), verify=True)
         assert ended == (Outcome.VERIFIED, "")
+
+    with_rig(test)
+
+
+@pytest.mark.parametrize("lost", [Faults(unheard=1.0), Faults(nak=1.0)], ids=["unheard", "nak"])
+def test_a_write_to_the_end_that_a_stop_cut_off_is_made_behind_the_stop(lost: Faults) -> None:
+    async def test(rig: Rig) -> None:
+        requests = requests_of(rig)
+        ended: list[tuple[Outcome, str]] = []
+
+        async def write() -> None:
+            one = requests.station("a")
+            ended.append(
+                await requests.write_to_the_end(one, Code(46), Value.decimal(20), verify=True)
+            )
+
+        async with anyio.create_task_group() as tasks:
+            rig.line.drive_faults[1] = lost
+            tasks.start_soon(write)
+            await until(lambda: bool(rig.seen.kinds))
+            assert (rig.line["a"].text(46), ended) == ("0", [])
+            rig.line.drive_faults[1] = Faults()
+            stopped = stop(rig, "a")
+        assert stopped.outcome is Outcome.VERIFIED
+        assert ended == [(Outcome.VERIFIED, "")]
+        assert rig.line["a"].text(46) == "20"
 
     with_rig(test)
 

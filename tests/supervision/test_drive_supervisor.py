@@ -11,12 +11,14 @@ import pytest
 from lecombus.drive_state.drive_runtime import Drive
 from lecombus.drive_state.readings import DriveState
 from lecombus.drive_state.store import DriveChanged, LineState
+from lecombus.drives import StopAction
 from lecombus.errors import LecombusError
 from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.fieldbus.lecom.simulator.parameters import CommError, ExtendedError, Refusal
 from lecombus.parameters import Code
 from lecombus.schedule import Priority
 from support.rosters import roster_text
+from support.sim_host import code_field
 from support.site_host import Plant, plainly, until, with_plant
 
 ONE = [("a", 11, "8200vector")]
@@ -316,6 +318,42 @@ def test_a_module_that_loses_its_supply_while_its_audit_waits_for_others_is_arme
     drives = [(name, 11 + place, "8200vector") for place, name in enumerate("abcdef")]
     guard = "{time: 5s, action: quick-stop, configure: true}"
     with_plant(test, roster_text(drives, watchdog=guard))
+
+
+@pytest.mark.parametrize("stops", ["stop", "many stops", "write"])
+def test_a_watchdog_whose_write_was_not_heard_is_set_behind_a_stop(stops: str) -> None:
+    head = b"\x0411\x02"
+    action = [head + code_field(1922, extended=extended) for extended in (False, True)]
+
+    async def not_heard(plant: Plant) -> None:
+        """Let the next write of its action pass unheard."""
+        await until(lambda: any(map(plant.is_asking, action)), within_s=100.0)
+        plant.line.drive_faults[11] = Faults(unheard=1.0)
+        said = len(plant.end.sent)
+        await until(lambda: len(plant.end.sent) > said)
+        plant.line.drive_faults[11] = Faults()
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await anyio.sleep(20.0)
+        operations, health = plant.site.operations, plant.site.drives.get("a").health
+        plant.power_cycle("a", 0.0)
+        plant.line.faults.absent = {11}
+        await until(lambda: health.misses >= 2)
+        plant.line.faults.absent = set()
+        for _ in range(5 if stops == "many stops" else 1):
+            await not_heard(plant)
+            assert plant.line["a"].model.watchdog_setting()[1] == 0
+            if stops == "write":
+                await operations.write("a", Code(40), 0)
+            else:
+                assert (await operations.stop(StopAction.INHIBIT, "a")).outcome.is_good
+        await plant.online("a")
+        assert plant.line["a"].model.watchdog_setting() == (2.0, 2)
+        assert remark(plant, "a") is None
+
+    drives = [*ONE, ("b", 12, "8200vector")]
+    with_plant(test, roster_text(drives, watchdog=GUARD, drive="also_writable: [C0040]"))
 
 
 def test_an_audit_asked_for_while_the_rest_is_learnt_is_not_forgotten() -> None:

@@ -29,7 +29,7 @@ from lecombus.fieldbus.requests import ReadWork, RequestMaker, Station
 from lecombus.line.worker import LineWorker
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority, Request
-from lecombus.schedule.request import CLIENT_GONE, LEASE_ENDED
+from lecombus.schedule.request import CLIENT_GONE, LEASE_ENDED, STOPPED
 
 __all__ = [
     "CAME_S",
@@ -280,12 +280,15 @@ class Requests:
     async def write_to_the_end(
         self, station: Station, code: Code, value: Value, *, verify: bool
     ) -> tuple[Outcome, str]:
-        """Write as `write` does; a write that a stop ended is asked for again behind it."""
+        """Write as `write` does; a write that a stop ended is asked for again behind it.
+
+        Also one that was sent before and perhaps not heard: its reason begins with `STOPPED`.
+        """
         for _ in range(WRITE_TRIES):
-            ended = await self.write(station, code, value, verify=verify)
-            if ended[0] is not Outcome.SUPERSEDED:
+            outcome, reason = await self.write(station, code, value, verify=verify)
+            if outcome is not Outcome.SUPERSEDED and not reason.startswith(STOPPED):
                 break
-        return ended
+        return outcome, reason
 
     def submit(self, request: Request) -> None:
         """Submit a request; one that is refused ends so that nothing waits for it.

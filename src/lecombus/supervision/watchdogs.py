@@ -30,6 +30,7 @@ from lecombus.fieldbus.requests import Station
 from lecombus.operations.awaited_requests import Requests
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome, Priority
+from lecombus.schedule.request import STOPPED
 from lecombus.supervision.health import Health
 
 __all__ = ["DOES_NOT_FIT", "PATIENCE_S", "AuditError", "Rechecks", "WatchdogAudit"]
@@ -240,7 +241,11 @@ class WatchdogAudit:
         return await self._requests.read_if_there(station, code, priority, timeout_s=PATIENCE_S)
 
     async def _write(self, station: Station, code: Code, value: float) -> bool:
-        """Write and read back; what did not take shows when the setting is read again."""
+        """Write and read back; what did not take shows when the setting is read again.
+
+        Raises:
+            AuditError: Stops ended it each time; the audit is made again.
+        """
         wire = Value.decimal(round(value))
         outcome, reason = await self._requests.write_to_the_end(station, code, wire, verify=True)
         self._wrote(station.name, code, wire.raw, outcome.value)
@@ -249,6 +254,8 @@ class WatchdogAudit:
                 "drive=%s code=%s event=watchdog-not-set value=%s outcome=%s reason=%s",
                 station.name, code, wire.raw, outcome, reason,
             )  # fmt: skip
+        if reason.startswith(STOPPED):
+            raise AuditError(f"{code} = {wire.raw} was not written: {reason}")
         return outcome is Outcome.VERIFIED
 
 
@@ -326,7 +333,7 @@ class Rechecks:
 
 
 class AuditError(LecombusError):
-    """A drive says something about its watchdog that makes no sense."""
+    """A drive says something about its watchdog that makes no sense, or stops ended its write."""
 
 
 def number(value: Value) -> float:
