@@ -22,11 +22,13 @@ WRITABLE = (
     "restore: true, allow_address_change: true, cyclic: [{code: C0150, every: 1s}], "
     "unchecked: [C0777], writable: [C0001, C0011, C0012, C0040, C0046, C0127, C0135, C0777, C1920]"
 )
-ROSTER = roster_text(
-    [("a", 11, "821x"), ("b", 12, "821x"), ("c", 13, "821x")], drive=WRITABLE,
-    sections="groups:\n  two: {members: [a, b], multicast: yes}\n",
-)  # fmt: skip
+GROUP = "groups:\n  two: {members: [a, b], multicast: yes}\n"
+DRIVES = [("a", 11, "821x"), ("b", 12, "821x"), ("c", 13, "821x")]
+ROSTER = roster_text(DRIVES, drive=WRITABLE, sections=GROUP)
+SHARED = roster_text(DRIVES[:2], drive=WRITABLE, sections=GROUP)
+"""The group's writes go out as multicasts."""
 QUICK, INHIBIT = StopAction.QUICK_STOP, StopAction.INHIBIT
+NOT_DONE = "the write that was to stop it was not done, or that is not known"
 
 
 async def busy(plant: Plant) -> list[asyncio.Task[object]]:
@@ -316,10 +318,73 @@ def test_an_enable_that_a_write_ended_which_did_not_stop_the_drive_is_taken_back
         plant.line.drive_faults[11] = Faults()
         enabled = await enabling
         assert enabled.outcome is Outcome.SUPERSEDED
-        assert "the write that was to stop it was not done; it was inhibited" in enabled.remedy
+        assert f"{NOT_DONE}; it was inhibited" in enabled.remedy
         assert plant.line["a"].model.inhibited()
 
     with_plant(test, ROSTER)
+
+
+@pytest.mark.parametrize("is_heard", [True, False])
+@pytest.mark.parametrize("verify", [None, False])
+def test_so_is_one_whose_drive_is_not_known_to_have_heard_the_multicast_that_ended_it(
+    *, verify: bool | None, is_heard: bool
+) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        operations = plant.site.operations
+        await operations.stop(INHIBIT, "a")
+        enabling = asyncio.create_task(operations.verb("a", Verb.ENABLE))
+        await until(lambda: plant.is_asking(b"\x0411\x02401"))
+        await anyio.sleep(0.06)
+        assert not plant.line["a"].model.inhibited()
+        said = len(plant.end.sent)
+        writing = asyncio.create_task(operations.write_group("two", Code(40), 0, verify=verify))
+        plant.line.drive_faults[11] = Faults(unheard=0.0 if is_heard else 1.0)
+        await until(lambda: any(one.data[1:3] == b"10" for one in plant.end.sent[said:]))
+        await anyio.sleep(0.007)
+        plant.line.drive_faults[11] = Faults()
+        report = await writing
+        assert report.how == "multicast"
+        enabled = await enabling
+        assert enabled.outcome is Outcome.SUPERSEDED
+        is_proven = report.members[0].outcome is Outcome.VERIFIED
+        assert is_proven is (verify is None)
+        assert (NOT_DONE in enabled.remedy) is not is_proven
+        await anyio.sleep(1.0)
+        assert plant.line["a"].model.inhibited()
+
+    with_plant(test, SHARED)
+
+
+@pytest.mark.parametrize("target", ["a", "two"])
+def test_nor_is_it_forgotten_when_nobody_waits_for_that_write_any_more(target: str) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        operations = plant.site.operations
+        await operations.stop(INHIBIT, "a")
+        enabling = asyncio.create_task(operations.verb("a", Verb.ENABLE))
+        await until(lambda: plant.is_asking(b"\x0411\x02401"))
+        await anyio.sleep(0.06)
+        plant.line.drive_faults[11] = Faults(nak=1.0, unheard=float(target == "two"))
+
+        async def stop() -> None:
+            if target == "a":
+                await operations.write("a", Code(40), 0)
+            else:
+                await operations.write_group("two", Code(40), 0)
+
+        writing = asyncio.create_task(stop())
+        await anyio.sleep(0.005)
+        assert not enabling.done()
+        writing.cancel()
+        await anyio.sleep(1.0)
+        plant.line.drive_faults[11] = Faults()
+        enabled = await enabling
+        assert enabled.outcome is Outcome.SUPERSEDED
+        assert f"{NOT_DONE}; it was inhibited" in enabled.remedy
+        assert plant.line["a"].model.inhibited()
+
+    with_plant(test, SHARED)
 
 
 def test_one_that_was_ended_by_a_write_that_did_stop_the_drive_is_left_to_that() -> None:

@@ -97,8 +97,8 @@ class Ending:
             self._future.set_result((outcome, reason))
 
     async def wait(self) -> tuple[Outcome, str]:
-        """Return outcome and reason."""
-        return await self._future
+        """Return outcome and reason; others may wait beside one that is cancelled."""
+        return await asyncio.shield(self._future)
 
     async def is_done(self) -> bool:
         """Wait beside the one that asked for it, and say whether it was done."""

@@ -225,19 +225,26 @@ class GroupWrites:
             one.name for one in stations
             if asks_to_stop(one.family, code, wire) and self._context.stands_otherwise(one, code)
         }  # fmt: skip
-        outcome, reason, kind = await self._multicast(to, stations, code, wire, expires_at_s)
-        if outcome is Outcome.DONE and verify is not False:
-            proofs = await asyncio.gather(
-                *(
-                    self._again(one, code, wire)
-                    if one.name in otherwise
-                    else self._proof(one, code, wire)
-                    for one in stations
+        endings = {one.name: Ending() for one in stations}
+
+        async def prove(one: Station) -> WriteReport:
+            proof = self._again if one.name in otherwise else self._proof
+            report = await proof(one, code, wire)
+            endings[one.name].settle(report.outcome, report.reason)
+            return report
+
+        try:
+            outcome, reason, kind = await self._multicast(
+                to, stations, code, wire, expires_at_s, endings
+            )
+            if outcome is Outcome.DONE and verify is not False:
+                proofs = await asyncio.gather(*map(prove, stations))
+                return await self._context.diagnosis.explain_all(
+                    proofs, stations, [wire] * len(stations)
                 )
-            )
-            return await self._context.diagnosis.explain_all(
-                proofs, stations, [wire] * len(stations)
-            )
+        finally:
+            for ending in endings.values():  # that it was sent does not show that it was heard
+                ending.settle(Outcome.UNKNOWN, "")
         shown = Outcome.UNKNOWN if outcome is Outcome.DONE else outcome
         remedy = REMEDIES.get(kind, "")
         return [
@@ -302,8 +309,12 @@ class GroupWrites:
         code: Code,
         wire: Value,
         expires_at_s: float | None,
+        endings: Mapping[str, Ending],
     ) -> tuple[Outcome, str, str]:
-        """Send a group's write as one telegram; give outcome, reason and kind."""
+        """Send a group's write as one telegram; give outcome, reason and kind.
+
+        `endings` are those of its members, by name: an enable that it ended waits for them.
+        """
         infos = [one.family.info(code) for one in stations]
         motion = any(info is not None and info.motion for info in infos)
         ending = Ending()
@@ -321,7 +332,7 @@ class GroupWrites:
         self._context.requests.submit(request)
         for one in stations:
             if asks_to_stop(one.family, code, wire):
-                self._context.lasting(one.name).stop_write_done = ending.is_done
+                self._context.lasting(one.name).stop_write_done = endings[one.name].is_done
         outcome, reason = await ending.wait()
         kind = "" if outcome is Outcome.DONE else ending.failure(outcome, reason)
         return outcome, reason, kind

@@ -146,7 +146,7 @@ class Verbs:
             return verb_report(run, report)
 
     async def _unless_stopped(self, run: Run, report: VerbReport) -> VerbReport:
-        """Take an enable back that a plain write ended which was to stop the drive and did not."""
+        """Take an enable back that a plain write ended, unless that did stop the drive."""
         name = run.station.name
         lasting = self._context.lasting(name)
         by_write = self._steps.stopped_meanwhile(run) and lasting.stops == run.said
@@ -155,7 +155,8 @@ class Verbs:
         is_done = lasting.stop_write_done
         if is_done is not None and await is_done():
             return report
-        ended = replace(superseded(run), remedy="the write that was to stop it was not done")
+        remedy = "the write that was to stop it was not done, or that is not known"
+        ended = replace(superseded(run), remedy=remedy)
         with contextlib.suppress(*TROUBLE):
             return await self._take_back(run, ended)
         return report
