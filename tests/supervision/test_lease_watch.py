@@ -575,6 +575,38 @@ def test_the_stop_of_a_drive_that_is_switched_off_does_not_take_the_line_for_eve
     with_plant(test, roster(watchdog=""))
 
 
+@pytest.mark.parametrize("watchdog", [WATCHED, "{time: 6s, action: inhibit}"])
+def test_nor_is_it_left_to_one_that_was_seen_to_be_off_while_it_is_audited_anew(
+    watchdog: str,
+) -> None:
+    """With `configure: true` the module has lost its supply, and its turn to be set comes later."""
+
+    async def test(plant: Plant) -> None:
+        drive, log = plant.site.drives.get("a"), plant.line["a"].log
+        async with controlled(plant) as client:
+            plant.end.unplug()
+            plant.power_cycle("a", 0.5 if "configure" in watchdog else 0.0)
+            await anyio.sleep(1.0)
+            plant.end.replug()
+            await until(lambda: plant.state("a") is DriveState.STARTING)
+            if "configure" in watchdog:
+                read = len(log)
+                await until(lambda: 1922 in [one.code for one in list(log)[read:]])
+                await anyio.sleep(0.6)
+            plant.line.drive_faults[11] = Faults(nak=1.0)
+            client.alive = False
+            client.ops.leases.release(client.name, client.token)
+        assert plant.state("a") is DriveState.STARTING
+        await anyio.sleep(20.0)
+        assert not drive.health.silenced
+        plant.line.drive_faults[11] = Faults()
+        await anyio.sleep(20.0)
+        assert output(plant) == 0.0
+        assert not drive.health.silenced
+
+    with_plant(test, roster(names="abcdefgh", watchdog=watchdog))
+
+
 def test_a_hoist_whose_watchdog_inhibits_though_the_roster_says_otherwise_is_not_silenced() -> None:
     async def test(plant: Plant) -> None:
         plant.line["a"].model.preset(1923, "3000")

@@ -206,13 +206,15 @@ class AuditRecord:
         running: The audit under way or waiting to begin.
         again: One more was asked for since that began.
         tried: First contact was tried.
-        watchdog: What its watchdog was set to when it was last put in order.
+        watchdog: What its watchdog was set to when it was last looked at; None: it was not seen.
+        anew: It may be another device since: its whole setting is read again.
     """
 
     running: RunningAudit | None = None
     again: bool = False
     tried: bool = False
     watchdog: WatchdogSetting | None = None
+    anew: bool = True
 
 
 @dataclass(slots=True)

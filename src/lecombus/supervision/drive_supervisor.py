@@ -146,7 +146,7 @@ class DriveSupervisor:
         Where reading a module's own codes takes up to 500 ms each, drives come online one by one.
         """
         if drive.health.state is not DriveState.DEGRADED:
-            drive.audit.watchdog = None  # it may be another device: look at everything again
+            drive.audit.anew = True  # it may be another device: look at everything again
         station = drive.station
         try:
             await self._contact(station)

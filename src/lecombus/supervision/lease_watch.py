@@ -381,7 +381,7 @@ class LeaseWatch:
 
 
 def has_watchdog_that_stops(drive: Drive) -> bool:
-    """Whether a drive's own watchdog stops it as the roster allows, by what its audit found.
+    """Whether a drive's own watchdog stops it as the roster allows, by what was seen of it last.
 
     The drive may have another one than the roster says, or none. What was not seen counts as there.
     """

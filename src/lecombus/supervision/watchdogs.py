@@ -42,6 +42,9 @@ PATIENCE_S = 120.0
 
 REMARK = "watchdog"
 
+OFF = WatchdogSetting(0.0, 0)
+"""A watchdog that was seen to be off, before its time is known."""
+
 LEAST_FED_S = 0.05
 """A watchdog shorter than this (the 2102's least, EDB2102EN 6.3.3) cannot be kept on any line of
 this kind; trying to would take the line from everybody else."""
@@ -97,9 +100,10 @@ class WatchdogAudit:
     async def look(self, drive: Drive, station: Station, traits: WatchdogTraits) -> int | None:
         """Read what the watchdog does; None: it cannot be seen, which is remarked."""
         action: int | None = None
-        with self._remarking(drive.name):
+        with self._remarking(drive):
             action = int(number(await self._read(station, traits.action_code)))
             if action == 0:
+                drive.audit.watchdog = OFF
                 self._feed(drive, None)
         return action
 
@@ -114,7 +118,7 @@ class WatchdogAudit:
             traits: How its watchdog is set.
             action: What it does now.
         """
-        with self._remarking(drive.name):
+        with self._remarking(drive, action):
             await self._audit_watchdog(drive, station, traits, action)
 
     async def learn(self, name: str, station: Station, traits: WatchdogTraits) -> None:
@@ -123,16 +127,19 @@ class WatchdogAudit:
         self._remark_unwanted(name, traits, found)
 
     @contextlib.contextmanager
-    def _remarking(self, name: str) -> Iterator[None]:
+    def _remarking(self, drive: Drive, action: int | None = None) -> Iterator[None]:
         """Make a remark of what can never be read, instead of asking for it again and again."""
         try:
             yield
+            return
         except UnknownCodeError as exc:
-            self._store.note(name, REMARK, f"its watchdog cannot be seen: {exc}")
+            text = f"its watchdog cannot be seen: {exc}"
         except OperationError as exc:
             if exc.kind != DOES_NOT_FIT:
                 raise
-            self._store.note(name, REMARK, f"its watchdog cannot be checked: {exc}")
+            text = f"its watchdog cannot be checked: {exc}"
+        drive.audit.watchdog = OFF if action == 0 else None
+        self._store.note(drive.name, REMARK, text)
 
     async def _audit_watchdog(
         self, drive: Drive, station: Station, traits: WatchdogTraits, action: int
@@ -172,7 +179,8 @@ class WatchdogAudit:
         A module that lost its settings with its supply has its action back at 0, and reading a
         module's own code keeps everybody else waiting for half a second.
         """
-        if target.armed and action == target.action and drive.audit.watchdog == target:
+        known = None if drive.audit.anew else drive.audit.watchdog
+        if target.armed and action == target.action and known == target:
             return target.time_s
         return number(await self._read(station, traits.time_code)) / 1000.0
 
@@ -202,7 +210,7 @@ class WatchdogAudit:
         remedy: str,
     ) -> None:
         """Feed by what the drive really has, and say where that differs from the roster."""
-        drive.audit.watchdog = found
+        drive.audit.watchdog, drive.audit.anew = found, False
         text = None
         if not found.acts_like(target):
             text = (
@@ -300,7 +308,7 @@ class Rechecks:
 
     def _watched(self, drive: Drive | None) -> tuple[Station, WatchdogTraits] | None:
         """A drive that is online, and of whose watchdog the roster and an audit know."""
-        if drive is None or drive.entry.watchdog is None or drive.audit.watchdog is None:
+        if drive is None or drive.entry.watchdog is None or drive.audit.anew:
             return None
         traits = drive.family.watchdog
         if traits is None or drive.health.state is not DriveState.ONLINE:
