@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
+import time
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 
 from lecombus.bridges.mqtt.broker import (
     BrokerError,
+    Incoming,
     Limits,
     WillLimits,
     client_for,
@@ -59,6 +61,19 @@ def test_a_socket_that_is_closed_before_its_turn_to_write_is_left_alone() -> Non
             near.close()
             far.close()
         assert said == []
+
+    asyncio.run(test())
+
+
+def test_a_message_came_when_it_was_read_and_not_when_it_is_handed_out() -> None:
+    async def test() -> None:
+        taken: list[Incoming] = []
+        client = client_for(ENTRY, "test", Message("a", b""), WillLimits())
+        client.take = taken.append
+        message = paho.MQTTMessage(1, b"a/b")
+        message.qos, message.payload, message.timestamp = 2, b"1", time.monotonic() - 7
+        client._on_message(client._client, None, message)
+        assert asyncio.get_running_loop().time() - taken[0].came_s == pytest.approx(7, abs=0.5)
 
     asyncio.run(test())
 

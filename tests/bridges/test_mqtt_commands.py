@@ -8,6 +8,7 @@ import random
 from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +66,7 @@ class Bench:
         self.daemon = Asked()
         self.answers: list[Message] = []
         self.pulse = Pulse()
-        self.pulse.proven_s = 1000.0
+        self.pulse.proven(1000.0, -inf)
 
         async def answer(message: Message) -> None:
             self.answers.append(message)
@@ -286,7 +287,7 @@ def test_a_command_that_may_have_been_late_counts_as_late(
     proven_ago_s: float, expiry_s: int | None, outcome: str
 ) -> None:
     async def script(bench: Bench) -> None:
-        bench.pulse.proven_s = anyio.current_time() - proven_ago_s
+        bench.pulse.proven(anyio.current_time() - proven_ago_s, anyio.current_time())
         bench.take("feeder/do/enable", expiry_s=expiry_s)
         bench.take("feeder/do/quick-stop")
         await anyio.sleep(1)
@@ -306,14 +307,32 @@ def test_how_late_a_command_was_is_what_was_known_when_it_came() -> None:
         bench.daemon.takes_s = 2.0
         bench.take("feeder/set/C0046", "10")
         await anyio.sleep(0.5)
-        bench.pulse.proven_s = anyio.current_time() - 60  # it stood for a minute
+        bench.pulse.proven(anyio.current_time() - 60, anyio.current_time())  # it stood
         bench.take("feeder/do/enable")
         bench.take("feeder/do/enable", expiry_s=90)
         await anyio.lowlevel.checkpoint()
-        bench.pulse.proven_s = anyio.current_time() + 0.1
+        bench.pulse.proven(anyio.current_time() + 0.1, anyio.current_time())
         await anyio.sleep(5)
         assert bench.outcomes == ["done", "expired", "done"]
         assert float(bench.daemon.requests[1][3]["lecombus-asked"]) >= 61
+
+    with_bench(script)
+
+
+def test_a_pulse_that_overtakes_the_handshake_of_a_command_does_not_make_it_new() -> None:
+    """With QoS 2 a command is handed out after a further exchange with the broker."""
+
+    async def script(bench: Bench) -> None:
+        bench.pulse.proven(anyio.current_time() - 60, anyio.current_time())  # it stood
+        read_s = anyio.current_time()
+        await anyio.sleep(0.01)
+        bench.pulse.proven(anyio.current_time() - 0.001, anyio.current_time())
+        await anyio.sleep(0.01)
+        bench.take("feeder/do/enable", came_s=read_s)
+        bench.take("feeder/set/C0046", "10")
+        await anyio.sleep(1)
+        assert sorted(bench.outcomes) == ["done", "expired"]
+        assert [one[0] for one in bench.daemon.requests] == ["PUT"]
 
     with_bench(script)
 
@@ -329,7 +348,7 @@ def test_a_computer_that_slept_finds_old_commands(
 
     async def script(bench: Bench) -> None:
         bench.daemon.takes_s = 1.0
-        bench.pulse.proven_s = bench.pulse.now_s()
+        bench.pulse.proven(bench.pulse.now_s(), anyio.current_time())
         bench.take("feeder/set/C0046", "10")
         await anyio.sleep(0.5)
         if waits:
@@ -412,7 +431,7 @@ def test_of_a_thousand_commands_sent_twice_none_is_carried_out_twice(
 
         async def script(bench: Bench) -> None:
             await anyio.sleep(3600)  # nothing comes; then what was sent before comes again
-            bench.pulse.proven_s = anyio.current_time() + 3600
+            bench.pulse.proven(anyio.current_time() + 3600, anyio.current_time())
             for number in chance.sample(wanted, 700):
                 for _ in range(2):
                     bench.take("feeder/set/C0046", number, correlation=number.encode(), qos=1,

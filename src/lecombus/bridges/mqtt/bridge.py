@@ -182,7 +182,7 @@ class MqttBridge:
             why.append(str(exc))
         finally:
             self._broker = None
-            self._pulse.proven_s = -inf
+            self._pulse.lost()
             self._keep_events()
         return why[0]
 
@@ -357,7 +357,7 @@ class MqttBridge:
         sent_s = self._pulse.now_s()
         await broker.publish(Message(self._topics.pulse, b"", 1, is_retained=False, expiry_s=1))
         if broker.limits.qos > 0:
-            self._pulse.proven_s = sent_s
+            self._pulse.proven(sent_s, anyio.current_time())
 
     async def _make_known(self, broker: Broker) -> None:
         """Make drives known to Home Assistant."""

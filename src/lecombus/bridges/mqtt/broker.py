@@ -14,6 +14,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import ssl
+import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
@@ -127,7 +128,8 @@ class Incoming:
         payload: What it says.
         qos: With which quality of service it was delivered.
         is_retained: Whether it was sent to stand at the broker.
-        came_s: When it came, by `anyio.current_time`; in `Commands`: was sent, by its `Pulse`.
+        came_s: When it came, by `anyio.current_time`; with QoS 2 before it is handed out, which
+            waits for a further word of the broker. In `Commands`: when it was sent, by its `Pulse`.
         expiry_s: How long it may still wait; None: it does not say.
         response_topic: Where its sender waits for an answer; empty: nowhere.
         correlation: By which the sender knows the answer; None: it gives none.
@@ -169,7 +171,7 @@ class BridgeClient(aiomqtt.Client):
                 bytes(message.payload),
                 message.qos,
                 bool(message.retain),
-                asyncio.get_running_loop().time(),
+                came_s(message),
                 getattr(found, "MessageExpiryInterval", None),
                 getattr(found, "ResponseTopic", ""),
                 getattr(found, "CorrelationData", None),
@@ -223,6 +225,11 @@ class BridgeClient(aiomqtt.Client):
     def abandon(self) -> None:
         """Close the connection, if it is still open, without a word to the broker."""
         self._client._sock_close()
+
+
+def came_s(message: Any) -> float:
+    """Return when a message was read from the connection, by the time of the event loop."""
+    return asyncio.get_running_loop().time() - (time.monotonic() - float(message.timestamp))
 
 
 class Broker:

@@ -8,6 +8,7 @@ makes it safe over a broker is decided before that:
   bounded by `Pulse`: what comes after an acknowledged message was sent by the broker after that
   message was sent by the bridge. So commands are old that lay in the socket of a bridge that stood.
   It is reckoned when a command comes: a later pulse says nothing of one that waits here already.
+  With QoS 2 that is before its handshake with the broker, which a later pulse may overtake.
 - Each is carried out once. One that comes again (the same topic, response topic and correlation
   data) gets the first one's answer, or `unknown` if the bridge was started in between. The daemon's
   memory of keys would not do: it is of the last 1000 requests of all clients. Without correlation
@@ -64,6 +65,9 @@ PULSE_EVERY_S: Final = 1.0
 USUAL_DELAY_S: Final = 2.5
 """Up to this a delay on the way from the broker is not counted: it is only how well it is known."""
 
+PROOFS_KEPT: Final = 120
+"""Of the pulse; a message that came before them may be of any age."""
+
 WAITING_MOST: Final = 100
 """Commands for one drive; and all answers that wait to be sent."""
 
@@ -82,15 +86,24 @@ def slept_s() -> float:
 
 
 class Pulse:
-    """How late a message from the broker may be.
-
-    Attributes:
-        proven_s: The broker has acknowledged what was sent at this time, by `now_s`.
-    """
+    """How late a message from the broker may be."""
 
     def __init__(self) -> None:
         self._slept_before_s = slept_s()
-        self.proven_s = -inf
+        self._proofs: deque[tuple[float, float]] = deque(maxlen=PROOFS_KEPT)
+
+    def proven(self, sent_s: float, at_s: float) -> None:
+        """Take that the broker has acknowledged a message of the bridge.
+
+        Args:
+            sent_s: When that was sent, by `now_s`.
+            at_s: When the acknowledgement came, or later, by the time of the event loop.
+        """
+        self._proofs.append((at_s, sent_s))
+
+    def lost(self) -> None:
+        """The connection is lost: its acknowledgements say nothing of the next one."""
+        self._proofs.clear()
 
     def now_s(self) -> float:
         """Return the time, which goes on while the computer sleeps, seconds."""
@@ -102,13 +115,15 @@ class Pulse:
     def sent_s(self, came_s: float) -> float:
         """Return since when a message that comes now may have been under way, by `now_s`.
 
-        A delay of up to `USUAL_DELAY_S` is not counted.
+        A delay of up to `USUAL_DELAY_S` is not counted, nor what was proven after the message came.
 
         Args:
             came_s: The time of the event loop, of which anyio knows nothing outside of a task.
         """
-        now_s = self._with_sleep_s(came_s)
-        return now_s if now_s - self.proven_s <= USUAL_DELAY_S else self.proven_s
+        came_later_s = self._with_sleep_s(came_s)  # by a sleep since then, which no proof is after
+        known = (sent_s for at_s, sent_s in reversed(self._proofs) if at_s <= came_s)
+        proven_s = next(known, -inf)
+        return came_later_s if came_later_s - proven_s <= USUAL_DELAY_S else proven_s
 
 
 @dataclass(frozen=True, slots=True)
