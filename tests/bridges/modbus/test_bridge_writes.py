@@ -59,3 +59,23 @@ def test_a_stop_goes_out_once_though_the_follower_has_not_found_the_daemon_again
         return daemon.sent
 
     assert run(write()) == sent
+
+
+def test_a_stop_of_all_that_is_written_again_later_is_a_new_one() -> None:
+    async def write() -> list[str]:
+        daemon = FakeDaemon()
+        async with anyio.create_task_group() as tasks:
+            follower = LineFollower("/run/x.sock")
+            follower.is_connected = True
+            bridge = ModbusBridge(ROSTER, follower, tasks)
+            line = line_of(httpx2.MockTransport(daemon.answer))
+            async with line.connection.http:
+                cast(Any, bridge)._line = line
+                for _ in range(2):
+                    for _ in range(10):  # a PLC writes in every cycle
+                        bridge.write(PLC, STOP_ALL, [1])
+                        await anyio.sleep(0.1)
+                    await anyio.sleep(60)
+        return daemon.sent
+
+    assert run(write()) == 2 * ["quick-stop all"]

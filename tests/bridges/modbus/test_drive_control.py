@@ -217,6 +217,31 @@ def test_a_stop_needs_no_lease_and_goes_out_once() -> None:
     on_a_bench(test)
 
 
+def test_a_stop_that_is_written_again_later_is_a_new_one() -> None:
+    """A button of an operator panel writes 1 each time, and never 0."""
+
+    async def test(bench: Bench) -> None:
+        for press in (1, 2, 3):
+            bench.control.write_stop(Command.QUICK_STOP, PLC)
+            await anyio.sleep(60)
+            assert bench.daemon.sent == press * ["quick-stop feeder"]
+            assert bench.command == (press, VERIFIED, WriteReason.NONE)
+
+    on_a_bench(test)
+
+
+def test_a_stop_of_one_client_is_not_lost_in_that_which_another_holds() -> None:
+    async def test(bench: Bench) -> None:
+        for cycle in range(100):
+            bench.control.write_stop(Command.QUICK_STOP, PLC)
+            if cycle == 50:
+                bench.control.write_stop(Command.QUICK_STOP, OTHER_PLC)
+            await anyio.sleep(0.1)
+        assert bench.daemon.sent == 2 * ["quick-stop feeder"]
+
+    on_a_bench(test)
+
+
 def test_a_stop_that_did_not_end_well_is_sent_again_while_it_is_written() -> None:
     async def test(bench: Bench) -> None:
         bench.daemon.outcome, bench.daemon.kind = "unknown", "no-answer"

@@ -118,14 +118,14 @@ class ModbusBridge:
             raise ModbusError(ModbusException.BAD_VALUE)
         if not self._follower.is_connected or self._line is None:
             if Command(command).is_stop:
-                self._try_to_stop(drive, Command(command))
+                self._try_to_stop(client, drive, Command(command))
             raise ModbusError(ModbusException.LECOMBUS_AWAY)
         if drive is None:
-            self._write_stop_all(command)
+            self._write_stop_all(client, command)
         else:
             self._write_drive(client, self._control_of(drive.name), found)
 
-    def _try_to_stop(self, drive: FollowedDrive | None, command: Command) -> None:
+    def _try_to_stop(self, client: str, drive: FollowedDrive | None, command: Command) -> None:
         """Send a stop to a daemon that the follower has lost, in case it is there again.
 
         The follower finds that out some seconds later, and a stop does not wait for it.
@@ -137,21 +137,21 @@ class ModbusBridge:
         except ClientError:
             return
         if drive is None:
-            self._write_stop_all(int(command))
+            self._write_stop_all(client, int(command))
         else:
-            self._control_of(drive.name).write_stop(command)
+            self._control_of(drive.name).write_stop(command, client)
 
-    def _write_stop_all(self, number: int) -> None:
+    def _write_stop_all(self, client: str, number: int) -> None:
         before, self._stop_register = self._stop_register, number
         if number:
-            self._stops.write(Command(number), before)
+            self._stops.write(Command(number), before, client)
             for control in self._drives.values():
                 control.stopped_with_all()
 
     def _write_drive(self, client: str, control: PlcControl, found: Mapping[str, int]) -> None:
         command = Command(found["command"]) if "command" in found else None
         if command is not None and command.is_stop:
-            control.write_stop(command)
+            control.write_stop(command, client)
         if control.is_busy_for(client):
             if command is None or not command.is_stop or len(found) > 1:
                 raise ModbusError(ModbusException.BUSY)

@@ -8,8 +8,10 @@ Rules, each so that nothing moves unasked:
   that goes back (a program that was started again) renews nothing either.
 - `enable` and `reset-fault` are taken when the command register changes from 0, and the 0 was
   written under the same lease. A register that was set before the lease began starts nothing.
-- Stops need no lease, and go out when they are written. One that did not end well is sent again
-  while the PLC keeps writing it. What waits in the bridge when a stop comes is not sent.
+- Stops need no lease, and go out when they are written. While a PLC holds one (writes it in every
+  cycle) it is sent again only until it ended well; one that a client had not written for
+  `STOP_AGAIN_S` is a new one: a button that writes 1 each time it is pressed never writes 0. What
+  waits in the bridge when a stop comes is not sent.
 - A setpoint goes out when it differs from the one that the drive was given last, so that a PLC that
   writes in every cycle costs the line nothing. The newest one counts.
 - One PLC controls a drive at a time: by its address, until its lease has ended.
@@ -150,16 +152,19 @@ class StopControl:
         self._tasks = tasks
         self._last = last
         self._again_s = 0.0
+        self._written_s: dict[str, float] = {}
         self.count = 0
 
-    def write(self, command: Command, before: int) -> None:
+    def write(self, command: Command, before: int, client: str = "") -> None:
         """Take a stop that was written.
 
         Args:
             command: A stop.
             before: What its register held before.
+            client: Who wrote it.
         """
-        is_repeat = before == command and self._last.command == command
+        is_held = self._is_held_by(client)
+        is_repeat = is_held and before == command and self._last.command == command
         if is_repeat and (self._last.is_good or self._last.outcome == PENDING):
             return
         if is_repeat and self._last.reason is WriteReason.NOT_PERMITTED:
@@ -168,6 +173,16 @@ class StopControl:
             return
         self.count += 1
         self._tasks.start_soon(self._send, command, self._last.begin(command))
+
+    def _is_held_by(self, client: str) -> bool:
+        """Whether a client that writes a stop now wrote one shortly before."""
+        now_s = anyio.current_time()
+        self._written_s = {
+            one: at_s for one, at_s in self._written_s.items() if now_s - at_s <= STOP_AGAIN_S
+        }
+        is_held = client in self._written_s
+        self._written_s[client] = now_s
+        return is_held
 
     async def _send(self, command: Command, sequence: int) -> None:
         outcome, reason = UNKNOWN, WriteReason.DAEMON_AWAY
@@ -284,11 +299,11 @@ class PlcControl:
             self._is_taking = True
             self._tasks.start_soon(self._hold_lease)
 
-    def write_stop(self, command: Command) -> None:
+    def write_stop(self, command: Command, client: str = "") -> None:
         """Take a stop; it needs no lease, and may come from any PLC that may connect."""
         before, self._command = self._command, int(command)
         self._is_armed = False
-        self._stops.write(command, before)
+        self._stops.write(command, before, client)
 
     def stopped_with_all(self) -> None:
         """All drives were stopped: what waits here is not sent."""
