@@ -8,12 +8,14 @@ from types import SimpleNamespace
 from typing import Any
 
 import anyio
+import anyio.lowlevel
 import pytest
 
+from lecombus.bridges.line_follower import FollowedDrive, FollowedValue
 from lecombus.bridges.mqtt.bridge import MqttBridge, Place
 from lecombus.bridges.mqtt.broker import Limits
 from lecombus.bridges.mqtt.retained import Message
-from lecombus.client import Event
+from lecombus.client import Event, Reading
 from lecombus.parameters import Code
 from lecombus.roster import MqttEntry
 from support.virtual_loop import run
@@ -80,6 +82,58 @@ def test_events_count_as_had_when_they_were_sent_or_are_on_the_disk(tmp_path: Pa
         bridge._place.write()
         assert place.read_text() == "R-4\n"
         assert len(made(tmp_path)._events) == 2
+
+    run(script())
+
+
+def test_what_stood_before_an_outage_of_the_broker_is_removed_after_it(tmp_path: Path) -> None:
+    """Values that are not good any more, and drives that left the roster meanwhile."""
+
+    class KeepingBroker:
+        limits = Limits()
+
+        def __init__(self) -> None:
+            self.standing: dict[str, bytes] = {}
+
+        async def publish(self, message: Message) -> bool:
+            await anyio.lowlevel.checkpoint()
+            if message.is_retained:
+                self.standing.pop(message.topic, None)
+                if message.payload:
+                    self.standing[message.topic] = message.payload
+            return True
+
+        async def subscribe(self, filters: object, **how: Any) -> None:
+            pass
+
+    async def serve(bridge: Any, broker: Any) -> None:
+        await bridge._begin(broker)
+        with anyio.move_on_after(5):
+            await bridge._show(broker)
+
+    async def script() -> None:
+        bridge, broker = made(tmp_path), KeepingBroker()
+        for name in ("feeder", "belt"):
+            reading = Reading.of({"drive": name, "code": "C0161", "value": 0, "quality": "good"})
+            at_s = anyio.current_time()
+            bridge.follower.drives[name] = FollowedDrive(
+                name, 11, "8200vector", "online",
+                values={"C0161": FollowedValue(reading, at_s, at_s + 150)},
+            )  # fmt: skip
+        await serve(bridge, broker)
+        assert {"lecombus/hall-3/feeder/value/C0161", "lecombus/hall-3/belt/state"} <= {
+            *broker.standing
+        }
+        await anyio.sleep(10)
+        del bridge.follower.drives["belt"]
+        bridge.follower._lose("no daemon answers")
+        await serve(bridge, broker)
+        assert {topic.removeprefix("lecombus/hall-3/") for topic in broker.standing} == {
+            "state",
+            "summary",
+            "feeder/state",
+            "feeder/json",
+        }
 
     run(script())
 

@@ -173,6 +173,17 @@ def test_a_drive_that_is_gone_is_removed_and_no_other() -> None:
     assert removed == {f"{ROOT}/feeder/{name}" for name in ("state", "json", "value/C0050")}
 
 
+def test_after_a_broker_was_away_what_is_not_so_any_more_is_removed_and_all_else_sent() -> None:
+    board = Board()
+    sent(board, drive(C0050=value(100), C0135=value(100), C0150=value(5)), 100)
+    board.connected(110)  # C0150 has expired by then
+    known = drive(C0050=value(100), C0135=replace(value(100), good_until_s=-inf))
+    found = sent(board, known, 110)
+    assert {topic for topic, payload in found if payload} == {"state", "json", "value/C0050"}
+    assert {topic for topic, payload in found if not payload} == {"value/C0135"}
+    assert sent(board, known, 110) == []
+
+
 # -- what is kept --------------------------------------------------------------------------------
 
 

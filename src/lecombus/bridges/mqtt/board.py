@@ -31,6 +31,12 @@ LOSS_S: Final = 1.0
 
 JSON_EVERY_S: Final = 1.0
 
+EXPIRED_AFTER_S: Final = 2.0
+"""So long after its time the broker has dropped a message: it counts in whole seconds."""
+
+NOT_KNOWN: Final = object()
+"""In the place of the mark of a message of which it is not known whether it stands."""
+
 
 @dataclass(slots=True)
 class Standing:
@@ -43,14 +49,24 @@ class Standing:
 
 
 class Board:
-    """What stands at the broker, as far as this connection sent it."""
+    """What stands at the broker, as far as this bridge sent it."""
 
     def __init__(self) -> None:
         self._standing: dict[str, Standing] = {}
 
-    def forget(self) -> None:
-        """A new connection: what stands at the broker is not known."""
-        self._standing.clear()
+    def connected(self, now_s: float) -> None:
+        """A new connection: what was sent before may stand at the broker, or be lost with it.
+
+        So all is sent again, and removed what should not stand there any more.
+        """
+        self._standing = {
+            topic: Standing(NOT_KNOWN, -inf, one.until_s, -inf)
+            for topic, one in self._standing.items() if now_s < one.until_s + EXPIRED_AFTER_S
+        }  # fmt: skip
+
+    def holds(self, under: str) -> bool:
+        """Whether something stands whose topic has this beginning."""
+        return any(one.startswith(under) for one in self._standing)
 
     def due(self, messages: Iterable[Message], under: str, now_s: float) -> Iterator[Message]:
         """Return what is to be sent now.

@@ -97,6 +97,7 @@ class MqttBridge:
         self._broker: Broker | None = None
         self._board = Board()
         self._summary = LineSummarizer(self._topics, roster.line.name)
+        self._shown: set[str] = set()
         self._changed: set[str] = set()
         self._is_all_changed = True
         self._came = anyio.Event()
@@ -188,7 +189,7 @@ class MqttBridge:
 
     async def _begin(self, broker: Broker) -> None:
         """Begin with a connection: what is known is shown, then commands are taken."""
-        self._board = Board()
+        self._board.connected(anyio.current_time())
         self._is_all_changed = True
         await self._beat_once(broker)
         if not broker.limits.qos and self._entry.control:
@@ -255,7 +256,6 @@ class MqttBridge:
 
     async def _show(self, broker: Broker) -> None:
         """Show states and values, whenever they change or would expire."""
-        shown: set[str] = set()
         next_all_s = -inf
         while not self._is_ending:
             self._came = anyio.Event()
@@ -264,14 +264,18 @@ class MqttBridge:
             if self._is_all_changed or now_s >= next_all_s:
                 self._is_all_changed = False
                 next_all_s = now_s + LOOK_EVERY_S
-                names = shown | set(self.follower.drives)
+                names = self._shown | set(self.follower.drives)
                 whole = [line_state(self._topics, self.follower, now_s),
                          self._summary.message(self.follower, now_s)]  # fmt: skip
                 await self._publish(broker, whole, "\0", now_s)
             for name in names:
-                shown.add(name)
+                self._shown.add(name)
                 await self._show_drive(broker, name)
-            shown &= set(self.follower.drives)
+            self._shown = {
+                one
+                for one in self._shown
+                if one in self.follower.drives or self._board.holds(self._under(one))
+            }
             with anyio.move_on_after(max(0.0, next_all_s - anyio.current_time())):
                 await self._came.wait()
                 await anyio.sleep(CHANGES_WAIT_S)
@@ -279,7 +283,11 @@ class MqttBridge:
     async def _show_drive(self, broker: Broker, name: str) -> None:
         drive, now_s = self.follower.drives.get(name), anyio.current_time()
         messages = [] if drive is None else list(drive_messages(self._topics, drive, now_s))
-        await self._publish(broker, messages, f"{self._topics.root}/{name}/", now_s)
+        await self._publish(broker, messages, self._under(name), now_s)
+
+    def _under(self, name: str) -> str:
+        """Return the beginning of the topics of a drive."""
+        return f"{self._topics.root}/{name}/"
 
     async def _publish(
         self, broker: Broker, messages: list[Message], under: str, now_s: float
