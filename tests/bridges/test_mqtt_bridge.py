@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,7 +14,7 @@ import pytest
 
 from lecombus.bridges.line_follower import FollowedDrive, FollowedValue
 from lecombus.bridges.mqtt.bridge import MqttBridge, Place
-from lecombus.bridges.mqtt.broker import Limits
+from lecombus.bridges.mqtt.broker import BrokerError, Limits
 from lecombus.bridges.mqtt.retained import Message
 from lecombus.client import Event, Reading
 from lecombus.parameters import Code
@@ -82,6 +83,28 @@ def test_events_count_as_had_when_they_were_sent_or_are_on_the_disk(tmp_path: Pa
         bridge._place.write()
         assert place.read_text() == "R-4\n"
         assert len(made(tmp_path)._events) == 2
+
+    run(script())
+
+
+def test_a_gap_is_said_again_where_the_broker_is_lost_before_it_has_it(tmp_path: Path) -> None:
+    said: list[Any] = []
+
+    async def publish(message: Message) -> bool:
+        said.append(json.loads(message.payload))
+        if len(said) == 1:
+            raise BrokerError("gone")
+        return True
+
+    async def script() -> None:
+        bridge, broker = made(tmp_path), SimpleNamespace(publish=publish)
+        bridge._events.lost = 7
+        with pytest.raises(BrokerError):
+            await bridge._send_events(broker)
+        with anyio.move_on_after(1):
+            await bridge._send_events(broker)
+        assert [one["missed"] for one in said] == [7, 7]
+        assert bridge._events.lost == 0
 
     run(script())
 

@@ -333,9 +333,10 @@ class MqttBridge:
         """Send events in their order."""
         while True:
             self._event_came = anyio.Event()
-            if lost := self._events.take_lost():
+            if lost := self._events.lost:
                 gap = {"kind": "gap", "missed": lost, "reason": "the broker was away for too long"}
                 await self._send_event(broker, "", json_bytes(gap).decode())
+                self._events.told_lost(lost)
             while (entry := self._events.first()) is not None:
                 await self._send_event(broker, *entry)
                 self._events.done(entry)

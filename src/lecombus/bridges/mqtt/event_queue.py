@@ -34,7 +34,7 @@ class EventQueue:
         bytes_kept: How many bytes they may have.
 
     Attributes:
-        lost: How many were dropped because too many waited, since `take_lost`.
+        lost: How many were dropped because too many waited, of which `told_lost` knows nothing.
         is_on_disk: Whether all that waits is on the disk.
     """
 
@@ -119,11 +119,10 @@ class EventQueue:
         self.is_on_disk = True
         self._unsent = self.lost + len(self._waiting)
 
-    def take_lost(self) -> int:
-        """Return how many were dropped, and begin to count again."""
-        lost, self.lost = self.lost, 0
+    def told_lost(self, lost: int) -> None:
+        """Count so many no more: it was said that they were dropped."""
+        self.lost -= lost
         self._unsent -= lost
-        return lost
 
     def _append(self, entry: Entry) -> None:
         self._waiting.append(entry)
