@@ -89,7 +89,10 @@ class LineSummarizer:
         self._missed_s: dict[str, float] = {}
 
     def watchdog_missed(self, counts: Mapping[str, int], now_s: float) -> None:
-        """Take by drive how often its watchdog was fed too late since the daemon's start."""
+        """Take by drive how often its watchdog was fed too late since the daemon's start.
+
+        None at all: the daemon was started again, and has counted nothing yet.
+        """
         before, self._counts = self._counts, dict(counts)
         if before is None:
             return

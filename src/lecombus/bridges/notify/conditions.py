@@ -117,8 +117,13 @@ class Conditions:
             self._set("daemon-lost", "", f"the daemon does not answer: {self._follower.why_away}")
 
     def watchdog_missed(self, counts: Mapping[str, int]) -> None:
-        """Take by drive how often its watchdog was fed too late since the daemon's start."""
+        """Take by drive how often its watchdog was fed too late since the daemon's start.
+
+        None at all: the daemon was started again, and has counted nothing yet.
+        """
         before, self._misses = self._misses, dict(counts)
+        if not counts:
+            return
         unfed = self._unfed | self._follower.silenced
         self._unfed = set(self._follower.silenced)
         if before is None:
