@@ -158,6 +158,27 @@ def test_the_quarantine_is_no_longer_than_an_answer_can_be_late() -> None:
     assert line_timing(parsed(line_with("late_answer: 10ms")).line).quarantine_s == 0.01
 
 
+@pytest.mark.parametrize(
+    ("family", "cyclic", "left_out"),
+    [
+        ("8200vector", "[{code: C0050, every: 1s}]", "C0150 and C0068"),
+        ("93xx", "[{code: C0051, every: 1s}]", "C0150 and C0068"),
+        ("8200vector", "[{code: C0050, every: 1s}, {code: C0068, every: 5s}]", ""),
+        ("8200vector", "[{code: C0150, every: 1s}]", ""),
+        ("8200vector", "[]", ""),
+        ("generic", "[{code: C0050, every: 1s}]", ""),
+    ],
+)
+def test_cyclic_reads_that_show_no_trip_are_told(family: str, cyclic: str, left_out: str) -> None:
+    drive = f"  - {{name: d1, address: 1, family: {family}, cyclic: {cyclic}}}\n"
+    told = [
+        one for one in warned(GOOD.partition("drives:")[0] + "drives:\n" + drive)
+        if "a trip is not noticed" in one
+    ]  # fmt: skip
+    assert len(told) == bool(left_out)
+    assert all(one.startswith(f"d1: `cyclic` leaves out {left_out},") for one in told)
+
+
 def watched(times: list[str], family: str = "8200vector", more: str = "configure: true") -> str:
     """Return a roster of drives d1, d2 .. with these watchdog times, watched only by the line."""
     drives = [

@@ -72,6 +72,7 @@ def find_warnings(roster: Roster) -> list[str]:
     found.extend(_mqtt(roster.mqtt))
     found.extend(_groups(roster))
     found.extend(_gathered(text for drive in roster.drives for text in _watchdog(drive)))
+    found.extend(_gathered(text for drive in roster.drives for text in _faults_unseen(drive)))
     found.extend(_gathered(text for drive in roster.drives for text in _writable(drive)))
     found.extend(_gathered(text for drive in roster.drives for text in _verbs(drive)))
     return found
@@ -336,6 +337,19 @@ def _watchdog(drive: DriveEntry) -> Iterator[tuple[str, str]]:
             drive.name,
             "a 2102 module forgets its watchdog at power-off; without configure: true it is only "
             "reported then",
+        )
+
+
+def _faults_unseen(drive: DriveEntry) -> Iterator[tuple[str, str]]:
+    """Warn of cyclic reads of its own that leave out what shows a trip; `[]` is meant so."""
+    of = family(drive.family)
+    telling = [code for code in of.words if of.active_fault(code, 0) is not None]
+    if drive.cyclic and telling and not any(entry.code in telling for entry in drive.cyclic):
+        yield (
+            drive.name,
+            f"`cyclic` leaves out {' and '.join(map(str, telling))}, as it replaces the family's "
+            "reads: a trip is not noticed, no alert or message says it; add "
+            f"{{code: {telling[0]}, every: 1s}}",
         )
 
 
