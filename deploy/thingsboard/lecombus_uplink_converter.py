@@ -67,9 +67,10 @@ def drive_data(name, document):
         found.add_to_attributes(DatapointKey(key), document[key])
     fault = document["fault"]
     add(found, {"state": document["state"], "doing": document["doing"]})
-    # 0: no fault. The number of a fault may follow a moment after the trip.
+    # 0: no fault, which is only known while its status words are. The number of a fault may follow
+    # a moment after the trip.
     number = 0 if fault is None else fault["number"]
-    if number is not None:
+    if number is not None and document["states"] is not None:
         add(found, {"fault": number})
     for code, value in document["values"].items():
         if value["quality"] != "good" or value["value"] is None:

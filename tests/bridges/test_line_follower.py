@@ -40,6 +40,7 @@ class Daemon:
         self.state = "online"
         self.fault: dict[str, Any] | None = None
         self.remarks: dict[str, str] = {}
+        self.motion_is_old = False
         self.number: Any = 35.4
         self.read_at_s = 0.0
         self.quality = "good"
@@ -100,7 +101,8 @@ class Daemon:
     def drive(self, name: str) -> dict[str, Any]:
         return {"drive": name, "address": 11, "family": "8200vector", "state": self.state,
                 "reason": None, "since": rfc3339(0), "states": ["ready"], "fault": self.fault,
-                "remarks": self.remarks, "motion": {"doing": "stopped"},
+                "remarks": self.remarks,
+                "motion": {"doing": "stopped", "stale": self.motion_is_old},
                 "values": [self.value()]}  # fmt: skip
 
     def say(self, kind: str, **data: Any) -> None:
@@ -151,6 +153,19 @@ def follow(script: Callable[[Followed], Any]) -> None:
             tasks.cancel_scope.cancel()
 
     run(work())
+
+
+def test_what_a_drive_did_before_it_fell_silent_is_not_what_it_does() -> None:
+    async def script(seen: Followed) -> None:
+        await anyio.sleep(0.5)
+        assert seen.follower.drives["feeder"].doing == "stopped"
+        seen.daemon.motion_is_old = True
+        await anyio.sleep(1.5)
+        feeder = seen.follower.drives["feeder"]
+        assert feeder.doing == "unknown"
+        assert feeder.motion == {"doing": "stopped", "stale": True}
+
+    follow(script)
 
 
 def test_it_gives_what_is_known_once_and_then_changes() -> None:

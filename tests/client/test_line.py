@@ -10,6 +10,7 @@ import pytest
 
 from lecombus.client import (
     ClientError,
+    DriveStatus,
     GroupResult,
     Line,
     NotDoneError,
@@ -56,6 +57,14 @@ async def test_a_number_is_never_taken_from_an_old_or_missing_value(line: Line) 
     assert Reading.of({"value": 5, "quality": "fresher"}).quality is Quality.BAD
     with pytest.raises(ClientError, match="is no number but `abc`"):
         _ = Reading.of({"value": "abc", "quality": "good"}).number
+
+
+async def test_what_a_drive_did_before_it_fell_silent_is_not_what_it_does() -> None:
+    motion = {"doing": "stopped", "stale": False}
+    assert DriveStatus.of({"drive": "feeder", "motion": motion}).doing == "stopped"
+    old = DriveStatus.of({"drive": "feeder", "motion": {**motion, "stale": True}})
+    assert old.doing == "unknown"
+    assert old.document["motion"]["doing"] == "stopped"
 
 
 async def test_drives_groups_line_and_why(line: Line) -> None:

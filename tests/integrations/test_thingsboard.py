@@ -118,6 +118,9 @@ def test_what_is_not_good_is_left_out(site: Site, converter: Any) -> None:
     assert "fault" not in one(converter, f"{ROOT}/feeder/json", document).values
     document["fault"] = {"number": 50}
     assert one(converter, f"{ROOT}/feeder/json", document).values["fault"] == 50
+    for fault in (None, {"number": 50}):  # as last known: the drive is silent
+        document |= {"state": "offline", "states": None, "fault": fault}
+        assert "fault" not in one(converter, f"{ROOT}/feeder/json", document).values
 
 
 def test_states_are_telemetry_and_what_is_not_ours_says_nothing(converter: Any) -> None:

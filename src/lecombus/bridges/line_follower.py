@@ -125,8 +125,10 @@ class FollowedDrive:
         state: `starting`, `online`, `degraded`, `offline`; `unknown`: the daemon is away.
         reason: Why; empty where nothing needs saying.
         states: What its status words show; None: not known well enough.
-        doing: `running`, `stopping`, `stopped`, `enabled` or `unknown`; up to a second behind.
-        motion: The whole summary `motion` of docs/api.md; None: the daemon is away.
+        doing: `running`, `stopping`, `stopped`, `enabled` or `unknown`, also where that is only
+            known from before; up to a second behind.
+        motion: The whole summary `motion` of docs/api.md, also as last known (`stale`); None: the
+            daemon is away.
         fault: The fault that it shows; None: none that is known.
         remarks: What stands to be said about it, by subject.
         values: By code, `C0050` or `C0039/1`.
@@ -412,7 +414,8 @@ class LineFollower:
         drive = self.drives.setdefault(name, FollowedDrive(name))
         drive.address, drive.family = int(document["address"]), str(document["family"])
         drive.motion = document.get("motion") or {}
-        drive.doing = str(drive.motion.get("doing") or UNKNOWN)
+        is_old = bool(drive.motion.get("stale"))
+        drive.doing = UNKNOWN if is_old else str(drive.motion.get("doing") or UNKNOWN)
         for one in document.get("values") or ():
             reading = Reading.of(one)
             key = key_of(reading)

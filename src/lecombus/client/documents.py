@@ -146,7 +146,8 @@ class DriveStatus:
         reason: Why; empty where nothing needs saying.
         states: What its status words show now; None: not known well enough, so a state that is
             missing says nothing.
-        doing: `running`, `stopping`, `stopped` (its motor may coast), `enabled` or `unknown`.
+        doing: `running`, `stopping`, `stopped` (its motor may coast), `enabled` or `unknown`, also
+            where that is only known from before, as of a silent drive: `document["motion"]` has it.
         fault: The fault that it shows now, with `number`, `kind`, `meaning`, `remedy` and more
             (docs/api.md); None: it shows none, which is only certain when `states` is not None.
         remarks: What stands to be said about it, by subject.
@@ -177,7 +178,7 @@ class DriveStatus:
             state=text_of(document, "state"),
             reason=text_of(document, "reason"),
             states=None if states is None else tuple(states),
-            doing=text_of(document.get("motion") or {}, "doing") or "unknown",
+            doing=doing_of(document.get("motion") or {}),
             fault=document.get("fault"),
             remarks=dict(document.get("remarks") or {}),
             values=tuple(Reading.of(one) for one in document.get("values") or ()),
@@ -305,6 +306,11 @@ def quality_of(document: Document) -> Quality:
         return Quality(text_of(document, "quality"))
     except ValueError:
         return Quality.BAD
+
+
+def doing_of(motion: Document) -> str:
+    """Return what a drive does, as far as that is known now."""
+    return "unknown" if motion.get("stale") else text_of(motion, "doing") or "unknown"
 
 
 def kind_of(document: Document) -> str:
