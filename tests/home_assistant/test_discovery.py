@@ -16,6 +16,7 @@ import pytest
 from home_assistant.followed import Followed, devices
 from home_assistant.installed import install
 from lecombus.bridges.mqtt.broker import Incoming
+from lecombus.bridges.mqtt.retained import JSON_STANDS_S, STATE_STANDS_S
 from lecombus.drives import FAMILY_NAMES
 
 HERE = Path(__file__).parent
@@ -43,6 +44,22 @@ def test_a_drive_is_read_only_and_can_be_stopped_unless_the_roster_allows_more()
         assert (value["unit_of_measurement"], value["device_class"]) == ("Hz", "frequency")
         assert value["expire_after"] == 6  # read every 2 s: stale after 5 s
     assert writes == [{"quick_stop", "inhibit"}, {"quick_stop", "inhibit", "speed"}]
+
+
+def test_all_that_is_shown_expires_as_nobody_says_that_a_message_expired() -> None:
+    """A bridge that was lost together with its broker leaves no `offline`."""
+    follower = Followed({"feeder": "8200vector"})
+    (message,) = devices(follower, control=True).due()
+    parts = json.loads(message.payload)["components"]
+    shown = {key for key, part in parts.items() if part["platform"] in ("sensor", "binary_sensor")}
+    assert {"state", "motion", "problem", "fault", "C0050"} <= shown
+    assert all("expire_after" in parts[key] for key in shown)
+    assert parts["state"]["expire_after"] > STATE_STANDS_S
+    # The document stands until its first good value is stale, or as long as this.
+    assert parts["motion"]["expire_after"] > JSON_STANDS_S
+    follower._periods["feeder", "C0050"] = 60.0
+    (message,) = devices(follower).due()
+    assert json.loads(message.payload)["components"]["problem"]["expire_after"] > 121
 
 
 def test_state_and_stops_are_there_while_the_daemon_is_also_if_the_line_is_lost() -> None:

@@ -2,7 +2,8 @@
 
 Read-only, with buttons that stop the drive; with `control` also a number for its speed. What is
 shown of a drive is available while bridge, daemon, line and drive are there; its state and the
-buttons while bridge and daemon are. Every value also expires in Home Assistant.
+buttons while bridge and daemon are. All that is shown also expires in Home Assistant: it hears
+nothing when a message expires at the broker, nor `offline` of a bridge that went with its broker.
 
 https://www.home-assistant.io/integrations/mqtt/#device-discovery-payload
 """
@@ -18,7 +19,13 @@ from typing import Any, Final
 
 from lecombus import __version__
 from lecombus.bridges.line_follower import FollowedDrive, LineFollower
-from lecombus.bridges.mqtt.retained import EMPTY, Message, json_bytes
+from lecombus.bridges.mqtt.retained import (
+    EMPTY,
+    JSON_STANDS_S,
+    STATE_STANDS_S,
+    Message,
+    json_bytes,
+)
 from lecombus.bridges.mqtt.topics import Topics
 from lecombus.roster import good_for_s
 
@@ -38,6 +45,9 @@ BOTH_WAYS: Final[Mapping[str, frozenset[str]]] = {
 LINE_IS_THERE: Final = "{{ 'online' if value == 'online' else 'offline' }}"
 DAEMON_IS_THERE: Final = "{{ 'online' if value in ('online', 'lost', 'closed') else 'offline' }}"
 DRIVE_IS_THERE: Final = "{{ 'online' if value in ('online', 'degraded') else 'offline' }}"
+
+LATE_S: Final = 10
+"""How much later than expected a state may be said again until it is not believed any more."""
 
 SPEED_MOST: Final[Mapping[str, int]] = {"Hz": 650, "%": 200}
 """What the number takes; the daemon knows the drive's own range, and refuses what is beyond."""
@@ -115,10 +125,16 @@ class Discovery:
     def _components(
         self, drive: FollowedDrive, follower: LineFollower, daemon: list[dict[str, str]]
     ) -> Iterator[tuple[str, dict[str, Any]]]:
-        whole = {"state_topic": self._topics.json(drive.name)}
+        periods = [follower.period_s(drive.name, code) for code in drive.values]
+        longest_s = max((good_for_s(one, follower.stretch) for one in periods if one), default=0)
+        whole = {
+            "state_topic": self._topics.json(drive.name),
+            "expire_after": ceil(max(longest_s, JSON_STANDS_S)) + LATE_S,
+        }
         yield self._component(
             drive, "state", "sensor", name="State", entity_category="diagnostic",
             state_topic=self._topics.drive_state(drive.name), availability=daemon,
+            expire_after=STATE_STANDS_S + LATE_S,
         )  # fmt: skip
         yield self._component(
             drive, "motion", "sensor", name="Motion", **whole,

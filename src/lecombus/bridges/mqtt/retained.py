@@ -21,8 +21,10 @@ from lecombus.bridges.mqtt.topics import Topics
 __all__ = [
     "DAEMON_AWAY",
     "EMPTY",
+    "JSON_STANDS_S",
     "OFFLINE",
     "ONLINE",
+    "STATE_STANDS_S",
     "Message",
     "drive_messages",
     "json_bytes",
