@@ -282,6 +282,18 @@ CASES = (
         interval="20s",
     ),
     Case(
+        "LecombusLeaseLapsed",  # of a drive that needs none, before a scrape has seen the lease
+        {f"lecombus_lease_lapses_total{{{FEEDER}}}": "_x2 1x200"},
+        firing=("60s", "600s"),
+        not_yet=("20s", "700s"),
+        # Prometheus was away for a quarter of an hour, and the lapse was before that.
+        quiet=(
+            ({f"lecombus_lease_lapses_total{{{FEEDER}}}": "1x100 _x45 1x200"}, ("3000s",)),
+            ({f"lecombus_lease_lapses_total{{{FEEDER}}}": "_x2 0x200"}, ("60s", "600s")),
+        ),
+        interval="20s",
+    ),
+    Case(
         "LecombusDriveWithoutController",
         {f"lecombus_drive_without_controller{{{FEEDER}}}": "0x11 1x20 0x20"},
         firing=("65s", "150s"),
