@@ -25,8 +25,7 @@ Strategy: events bring changes when they happen; a look at `/v1/drives` each sec
 of every value, since events repeat an unchanged value only every 30 s, and shows that the daemon
 still works. What an event said while a look was under way is newer than what the look brings. A
 look that is not answered within `AWAY_AFTER_S`, or a stream of events that ends, means that the
-daemon is away; then the follower connects again, first soon, later every few seconds, and asks for
-the events that it missed.
+daemon is away; then the follower connects again, ever more seldom, and asks for what it missed.
 
 Passwords (codes that the family's description calls secret) are not taken over.
 """
@@ -45,6 +44,7 @@ from typing import Any, Final, NoReturn
 import anyio
 
 from lecombus.client import ClientError, Event, Line, LineStatus, Quality, Reading, connect
+from lecombus.client.documents import doing_of
 from lecombus.drives import family
 from lecombus.errors import LecombusError
 from lecombus.parameters import Code
@@ -125,10 +125,8 @@ class FollowedDrive:
         state: `starting`, `online`, `degraded`, `offline`; `unknown`: the daemon is away.
         reason: Why; empty where nothing needs saying.
         states: What its status words show; None: not known well enough.
-        doing: `running`, `stopping`, `stopped`, `enabled` or `unknown`, also where that is only
-            known from before; up to a second behind.
-        motion: The whole summary `motion` of docs/api.md, also as last known (`stale`); None: the
-            daemon is away.
+        doing: `running`, `stopping`, `stopped`, `enabled` or `unknown`; up to a second behind.
+        motion: The whole summary `motion` of docs/api.md, also what is `stale`; None: daemon away.
         fault: The fault that it shows; None: none that is known.
         remarks: What stands to be said about it, by subject.
         values: By code, `C0050` or `C0039/1`.
@@ -414,8 +412,7 @@ class LineFollower:
         drive = self.drives.setdefault(name, FollowedDrive(name))
         drive.address, drive.family = int(document["address"]), str(document["family"])
         drive.motion = document.get("motion") or {}
-        is_old = bool(drive.motion.get("stale"))
-        drive.doing = UNKNOWN if is_old else str(drive.motion.get("doing") or UNKNOWN)
+        drive.doing = doing_of(drive.motion)
         for one in document.get("values") or ():
             reading = Reading.of(one)
             key = key_of(reading)

@@ -27,6 +27,7 @@ __all__ = [
     "Quality",
     "Reading",
     "Why",
+    "doing_of",
     "kind_of",
     "reading_of",
     "text_of",

@@ -2,11 +2,10 @@
 
 Strategy: each attempt has a client object of its own (ADR 84) and a clean session, so that nothing
 of an earlier connection is sent again, and nothing waits at the broker for a bridge that was away.
-What the broker said of its limits when it accepted the connection is obeyed here: receive maximum,
-packet size, quality of service, retained messages.
+The limits that the broker names when it accepts the connection are obeyed here.
 
 aiomqtt neither hands out what the broker said nor closes a connection that it gave up; so
-`BridgeClient` uses some of its private names (tests/bridges/test_broker.py looks that they exist).
+`BridgeClient` uses some of its private names (tests/bridges/test_mqtt_broker.py looks for them).
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ INCOMING_BYTES: Final = 64 * 1024
 
 PROPERTY_CHARS: Final = 1000
 
-FAILURES: Final = 128  # and above: something was not done
+FAILURES: Final = 128  # and above
 RETAIN_NOT_SUPPORTED: Final = 154
 QOS_NOT_SUPPORTED: Final = 155
 REFUSALS: Final = frozenset((4, 5, 134, 135, 138, 140))
@@ -76,7 +75,7 @@ class BrokerError(Exception):
 
 @dataclass(slots=True)
 class WillLimits:
-    """What the broker does not take of a will, as it turned out.
+    """What the broker takes of a will, as it turned out.
 
     Args:
         retain: Whether it may be retained.
@@ -128,8 +127,7 @@ class Incoming:
         payload: What it says.
         qos: With which quality of service it was delivered.
         is_retained: Whether it was sent to stand at the broker.
-        came_s: When it came, by `anyio.current_time`; with QoS 2 before it is handed out, which
-            waits for a further word of the broker. In `Commands`: when it was sent, by its `Pulse`.
+        came_s: When it was read, by `anyio.current_time`; in `Commands`: was sent, by its `Pulse`.
         expiry_s: How long it may still wait; None: it does not say.
         response_topic: Where its sender waits for an answer; empty: nowhere.
         correlation: By which the sender knows the answer; None: it gives none.
@@ -165,13 +163,14 @@ class BridgeClient(aiomqtt.Client):
 
     def _on_message(self, client: Any, userdata: Any, message: Any) -> None:
         found = message.properties
+        waited_s = time.monotonic() - float(message.timestamp)  # for the handshake of QoS 2
         self.take(
             Incoming(
                 message.topic,
                 bytes(message.payload),
                 message.qos,
                 bool(message.retain),
-                came_s(message),
+                asyncio.get_running_loop().time() - waited_s,
                 getattr(found, "MessageExpiryInterval", None),
                 getattr(found, "ResponseTopic", ""),
                 getattr(found, "CorrelationData", None),
@@ -225,11 +224,6 @@ class BridgeClient(aiomqtt.Client):
     def abandon(self) -> None:
         """Close the connection, if it is still open, without a word to the broker."""
         self._client._sock_close()
-
-
-def came_s(message: Any) -> float:
-    """Return when a message was read from the connection, by the time of the event loop."""
-    return asyncio.get_running_loop().time() - (time.monotonic() - float(message.timestamp))
 
 
 class Broker:
@@ -352,11 +346,7 @@ class Broker:
                 )
 
     async def lost(self) -> None:
-        """Wait until the connection is lost.
-
-        Raises:
-            BrokerError: It is.
-        """
+        """Wait until the connection is lost, and raise a `BrokerError` then."""
         try:
             async for _ in self._client.messages:
                 pass
