@@ -24,6 +24,7 @@ from lecombus.bridges.mqtt.broker import Incoming
 from lecombus.bridges.mqtt.commands import WAITING_MOST, Commands, Pulse, key_of
 from lecombus.bridges.mqtt.retained import Message
 from lecombus.bridges.mqtt.seen_commands import SeenCommands
+from lecombus.bridges.mqtt.stop_lanes import AT_ONCE, LANES_MOST
 from lecombus.bridges.mqtt.topics import Topics
 from lecombus.client import Line, UnreachableError
 from support.virtual_loop import run
@@ -370,6 +371,50 @@ def test_too_many_commands_are_refused_and_answered() -> None:
             bench.take("feeder/do/enable")
         await anyio.sleep(1)
         assert bench.kinds == ["busy"] * 5
+
+    with_bench(script)
+
+
+def test_a_flood_of_one_stop_is_carried_out_as_few_and_holds_up_no_other() -> None:
+    """Of each stop that came, one went out then or later; those that waited share its outcome."""
+
+    async def script(bench: Bench) -> None:
+        bench.daemon.takes_s = 1.0
+        for number in range(1000):
+            bench.take("feeder/do/quick-stop", correlation=f"{number}".encode())
+        await anyio.sleep(0.5)
+        assert bench.daemon.paths == ["POST /v1/stop"] * AT_ONCE
+        bench.take("belt/do/quick-stop", correlation=b"belt")
+        bench.take("feeder/do/inhibit", correlation=b"inhibit")
+        await anyio.sleep(0.1)
+        assert len(bench.daemon.requests) == AT_ONCE + 2, "at the same time"
+        await anyio.sleep(1)
+        assert len(bench.daemon.requests) == AT_ONCE + 3, "and one for all that came meanwhile"
+        assert bench.daemon.requests[-1][2] == {"action": "quick-stop", "target": "feeder"}
+        await anyio.sleep(5)
+        assert len(bench.daemon.requests) == AT_ONCE + 3
+        assert set(bench.outcomes) == {"done"}
+        assert len(bench.answers) == AT_ONCE + 2 + WAITING_MOST, "a bounded memory"
+        bench.take("feeder/do/quick-stop")
+        await anyio.sleep(0.1)
+        assert len(bench.daemon.requests) == AT_ONCE + 4
+
+    with_bench(script)
+
+
+def test_stops_of_what_there_is_not_take_no_room_from_those_of_drives() -> None:
+    async def script(bench: Bench) -> None:
+        bench.daemon.takes_s = 60.0
+        for number in range(2000):
+            bench.take(f"made-up-{number}/do/quick-stop")
+        await anyio.sleep(1)
+        assert len(bench.daemon.requests) == LANES_MOST
+        assert set(bench.kinds) == {"busy"}
+        for target in ("feeder", "all"):
+            bench.take(f"{target}/do/quick-stop")
+        await anyio.sleep(1)
+        asked = {body["target"] for _, _, body, _ in bench.daemon.requests[LANES_MOST:]}
+        assert asked == {"feeder", "all"}
 
     with_bench(script)
 

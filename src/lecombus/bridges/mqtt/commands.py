@@ -15,7 +15,7 @@ makes it safe over a broker is decided before that:
   data a command must be sent with QoS 2 or 0: with QoS 1 a sender may send it twice, and that would
   look like two commands.
 - A stop is none of that: it is carried out whenever it comes, unless it is retained, because a
-  retained one would come again at each connection. It waits for no other command.
+  retained one would come again at each connection. It waits for no other command (`StopLanes`).
 - Commands for one drive are carried out in the order in which they came. Each is asked for as at
   the time when it came, so what waits here when a drive is stopped is not carried out either.
 - Drives that need a lease take only stops (ADR 86).
@@ -49,6 +49,7 @@ from lecombus.bridges.mqtt.command_bodies import (
 )
 from lecombus.bridges.mqtt.retained import Message, json_bytes
 from lecombus.bridges.mqtt.seen_commands import SeenCommands
+from lecombus.bridges.mqtt.stop_lanes import StopLanes
 from lecombus.bridges.mqtt.topics import CommandTopic, Topics
 from lecombus.client import Line, NotPermittedError, ProblemError, UnreachableError, connect
 from lecombus.client.connection import BY, KEY, AnswerLostError, Json
@@ -190,6 +191,7 @@ class Commands:
         self._inbox: deque[Incoming] = deque()
         self._came = anyio.Event()
         self._waiting: dict[str, deque[tuple[Incoming, CommandTopic]]] = {}
+        self._stops = StopLanes()
         self._logged: deque[float] = deque()
         self._answering = 0
         self.counts: dict[str, int] = {}
@@ -213,8 +215,8 @@ class Commands:
         """Begin with a command, or let it wait behind others for the same drive."""
         topic = self._topics.command(incoming.topic)
         assert topic is not None
-        if topic.what == "do" and topic.name in STOPS:
-            tasks.start_soon(self._carry_out, incoming, topic)
+        if topic.what == "do" and topic.name in STOPS and not incoming.is_retained:
+            self._begin_stop(tasks, incoming, topic)
             return
         waiting = self._waiting.get(topic.target)
         room = len(self._waiting) if waiting is None else len(waiting)
@@ -225,6 +227,24 @@ class Commands:
             tasks.start_soon(self._one_after_the_other, topic.target)
         else:
             waiting.append((incoming, topic))
+
+    def _begin_stop(self, tasks: TaskGroup, incoming: Incoming, topic: CommandTopic) -> None:
+        lane, is_there = (topic.target, topic.name), topic.target == "all"
+        if not (is_there or self._is_drive(topic.target) or self._stops.has_room(lane)):
+            tasks.start_soon(self._end, incoming, topic, busy().document)
+        elif self._stops.take(lane, incoming):
+            tasks.start_soon(self._carry_out_stops, tasks, incoming, topic)
+
+    async def _carry_out_stops(
+        self, tasks: TaskGroup, incoming: Incoming, topic: CommandTopic
+    ) -> None:
+        """Carry out a stop, then as one those that came meanwhile."""
+        stops = [incoming]
+        while stops:
+            document = await self._outcome(stops[0], topic)
+            for one in stops:
+                tasks.start_soon(self._end, one, topic, document)
+            stops = self._stops.ended((topic.target, topic.name))
 
     async def _one_after_the_other(self, target: str) -> None:
         waiting = self._waiting[target]
@@ -237,15 +257,17 @@ class Commands:
 
     async def _carry_out(self, incoming: Incoming, topic: CommandTopic) -> None:
         """Carry out a command, and answer with its outcome."""
-        try:
-            document = self._answer_before(incoming) or await self._ask(
-                await self._request(incoming, topic)
-            )
-        except CommandRefusedError as exc:
-            document = exc.document
+        document = self._answer_before(incoming) or await self._outcome(incoming, topic)
         if incoming.correlation is not None:
             self._seen.ended(key_of(incoming), document)
         await self._end(incoming, topic, document)
+
+    async def _outcome(self, incoming: Incoming, topic: CommandTopic) -> dict[str, Any]:
+        """Carry out a command, and return how it ended."""
+        try:
+            return await self._ask(await self._request(incoming, topic))
+        except CommandRefusedError as exc:
+            return exc.document
 
     def _answer_before(self, incoming: Incoming) -> dict[str, Any] | None:
         """Return the answer of a command that came before; None: it is new, or a stop."""

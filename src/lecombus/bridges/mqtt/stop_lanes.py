@@ -1,0 +1,67 @@
+"""Which stops go out now, and which are carried out together. Pure.
+
+A stop waits for no other command. But a client that sends the same one without end must not take
+the bridge from all others: of each target and kind a few go out at the same time, and what comes
+meanwhile goes out as one when the first of them ends. One under way says nothing of a later one, as
+somebody may have enabled the drive since; one that has not gone out yet is as good as the next.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final
+
+from lecombus.bridges.mqtt.broker import Incoming
+
+__all__ = ["AT_ONCE", "LANES_MOST", "StopLanes"]
+
+AT_ONCE: Final = 4
+"""Stops of one target and kind."""
+
+WAITING_MOST: Final = 100
+"""Stops that go out as one, each with its answer; further ones get none."""
+
+LANES_MOST: Final = 400
+"""Targets and kinds at the same time, also those that there are not."""
+
+Lane = tuple[str, str]
+"""Target and kind."""
+
+
+@dataclass(slots=True)
+class Stops:
+    """Stops of one target and kind."""
+
+    under_way: int = 0
+    waiting: list[Incoming] = field(default_factory=list)
+
+
+class StopLanes:
+    """The stops that were taken and have not ended."""
+
+    def __init__(self) -> None:
+        self._lanes: dict[Lane, Stops] = {}
+
+    def has_room(self, lane: Lane) -> bool:
+        """Whether a stop can be taken that may be of something that there is not."""
+        return lane in self._lanes or len(self._lanes) < LANES_MOST
+
+    def take(self, lane: Lane, stop: Incoming) -> bool:
+        """Take a stop; returns whether it goes out now. Otherwise `ended` gives it."""
+        stops = self._lanes.setdefault(lane, Stops())
+        if stops.under_way < AT_ONCE:
+            stops.under_way += 1
+            return True
+        if len(stops.waiting) < WAITING_MOST:
+            stops.waiting.append(stop)
+        return False
+
+    def ended(self, lane: Lane) -> list[Incoming]:
+        """Note that one under way has ended; returns those that go out now, as one."""
+        stops = self._lanes[lane]
+        found, stops.waiting = stops.waiting, []
+        if not found:
+            stops.under_way -= 1
+            if not stops.under_way:
+                del self._lanes[lane]
+        return found
