@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -14,8 +16,9 @@ from client.conftest import line_of
 from lecombus.bridges.line_follower import LineFollower
 from lecombus.bridges.modbus import bridge as bridge_module
 from lecombus.bridges.modbus.bridge import ModbusBridge
+from lecombus.bridges.modbus.register_map import OUTCOMES
 from lecombus.bridges.modbus.register_values import ModbusError, ModbusException
-from lecombus.client import UnreachableError
+from lecombus.client import Line, UnreachableError
 from support.virtual_loop import run
 
 FEEDER_COMMAND, STOP_ALL = 1141, 40
@@ -79,3 +82,44 @@ def test_a_stop_of_all_that_is_written_again_later_is_a_new_one() -> None:
         return daemon.sent
 
     assert run(write()) == 2 * ["quick-stop all"]
+
+
+@pytest.mark.parametrize(("register", "sent"), [
+    (FEEDER_COMMAND, "quick-stop feeder"), (STOP_ALL, "quick-stop all"),
+])  # fmt: skip
+def test_a_stop_whose_connection_broke_is_repeated_though_it_was_written_only_once(
+    monkeypatch: pytest.MonkeyPatch, register: int, sent: str
+) -> None:
+    """As when the daemon crashes, and is started again; all else is left to the PLC."""
+
+    async def write() -> tuple[list[str], int]:
+        daemon, broken = FakeDaemon(), 3
+
+        async def answer(request: httpx2.Request) -> httpx2.Response:
+            nonlocal broken
+            if request.url.path == "/v1/stop" and broken:
+                broken -= 1
+                raise httpx2.ReadError("gone")
+            return await daemon.answer(request)
+
+        @asynccontextmanager
+        async def connect(socket: str, repeat_for_s: float = 5.0) -> AsyncIterator[Line]:
+            line = line_of(httpx2.MockTransport(answer), repeat_for_s=repeat_for_s)
+            async with line.connection.http:
+                yield line
+
+        monkeypatch.setattr(bridge_module, "connect", connect)
+        async with anyio.create_task_group() as tasks:
+            follower = LineFollower("/run/x.sock")
+            follower.is_connected = True
+            bridge = ModbusBridge(ROSTER, follower, tasks)
+            tasks.start_soon(bridge.connect)
+            await anyio.sleep(0.1)
+            bridge.write(PLC, register, [1])
+            await anyio.sleep(10)
+            found = bridge.line_registers() | bridge.drive_registers("feeder")
+            tasks.cancel_scope.cancel()
+        outcome = "stop outcome" if register == STOP_ALL else "command outcome"
+        return daemon.sent, found[outcome]
+
+    assert run(write()) == ([sent], OUTCOMES.index("verified"))

@@ -39,7 +39,7 @@ LOCAL: Final = ("127.0.0.0/8", "::1/128")
 ANSWERING: Final = ("online", "degraded")
 CONNECT_EVERY_S: Final = 0.5
 REPEAT_FOR_S: Final = 0.0
-"""A write whose connection broke is not repeated: the PLC decides, by the outcome."""
+"""A write whose connection broke is not repeated: the PLC decides, by the outcome. A stop is."""
 
 READ_ONLY: Final[Mapping[str, int]] = {
     one.name: 0
@@ -65,10 +65,11 @@ class ModbusBridge:
         self._is_controlling = roster.modbus.control
         self._entries = {entry.name: entry for entry in roster.drives}
         self._line: Line | None = None
+        self._stop_line: Line | None = None
         self._drives: dict[str, PlcControl] = {}
         self._stop_register = 0
         self._last_stop = LastWrite()
-        self._stops = StopControl("all", self.line, tasks, self._last_stop)
+        self._stops = StopControl("all", self.stop_line, tasks, self._last_stop)
         at_start = [
             FollowedDrive(one.name, one.address, one.family) for one in roster.drives
         ]  # fmt: skip
@@ -78,8 +79,11 @@ class ModbusBridge:
         """Connect to the daemon for writing as soon as it is there, and stay connected."""
         while True:
             try:
-                async with connect(self._follower.socket, repeat_for_s=REPEAT_FOR_S) as line:
-                    self._line = line
+                async with (
+                    connect(self._follower.socket, repeat_for_s=REPEAT_FOR_S) as line,
+                    connect(self._follower.socket) as stop_line,
+                ):
+                    self._line, self._stop_line = line, stop_line
                     await anyio.sleep_forever()
             except ClientError:
                 await anyio.sleep(CONNECT_EVERY_S)
@@ -88,6 +92,10 @@ class ModbusBridge:
         """Return the daemon for writing; `write` has seen that it is there."""
         assert self._line is not None
         return self._line
+
+    def stop_line(self) -> Line:
+        """Return the daemon for stops: one whose connection broke is repeated for some seconds."""
+        return self.line() if self._stop_line is None else self._stop_line
 
     # -- for the server ----------------------------------------------------------------------------
 
@@ -165,7 +173,9 @@ class ModbusBridge:
 
     def _control_of(self, drive: str) -> PlcControl:
         if drive not in self._drives:
-            self._drives[drive] = PlcControl(drive, self.line, self._tasks, self)
+            self._drives[drive] = PlcControl(
+                drive, self.line, self._tasks, self, stop_line=self.stop_line
+            )
         return self._drives[drive]
 
     # -- for the registers -------------------------------------------------------------------------

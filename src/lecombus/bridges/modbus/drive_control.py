@@ -208,10 +208,16 @@ class PlcControl:
         line: Speaks with the daemon.
         tasks: In which leases are held and stops carried out.
         facts: What is known of the drive.
+        stop_line: Speaks with the daemon for stops, and repeats them; None: as for all else.
     """
 
     def __init__(
-        self, drive: str, line: Callable[[], Line], tasks: TaskGroup, facts: ControlledDrives
+        self,
+        drive: str,
+        line: Callable[[], Line],
+        tasks: TaskGroup,
+        facts: ControlledDrives,
+        stop_line: Callable[[], Line] | None = None,
     ) -> None:
         self.drive = drive
         self._line = line
@@ -219,7 +225,7 @@ class PlcControl:
         self._facts = facts
         self._last_command = LastWrite()
         self._last_setpoint = LastWrite()
-        self._stops = StopControl(drive, line, tasks, self._last_command)
+        self._stops = StopControl(drive, stop_line or line, tasks, self._last_command)
         self._heartbeat = 0
         self._command = 0
         self._demand = 0
