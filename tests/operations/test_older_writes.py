@@ -147,7 +147,7 @@ def test_an_inhibit_without_acknowledgement_is_said_again_behind_a_later_quick_s
         operations = plant.site.operations
         writing = await unheard_until_read(plant, 40, "0")
         assert (await operations.write("a", Code(135), "H0008")).outcome.is_good
-        assert (await writing).outcome.is_good
+        assert (await writing).outcome.is_good  # type: ignore[attr-defined]
         assert plant.line["a"].model.inhibited()
 
     with_plant(test, roster("93xx", DRIVE.replace("C0046, ", "") + ", addressing: standard"))

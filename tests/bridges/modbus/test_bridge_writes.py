@@ -117,7 +117,7 @@ def test_a_stop_whose_connection_broke_is_repeated_though_it_was_written_only_on
             await anyio.sleep(0.1)
             bridge.write(PLC, register, [1])
             await anyio.sleep(10)
-            found = bridge.line_registers() | bridge.drive_registers("feeder")
+            found = {**bridge.line_registers(), **bridge.drive_registers("feeder")}
             tasks.cancel_scope.cancel()
         outcome = "stop outcome" if register == STOP_ALL else "command outcome"
         return daemon.sent, found[outcome]
