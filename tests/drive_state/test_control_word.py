@@ -107,3 +107,21 @@ def test_the_last_known_word_outlasts_a_loss_and_keeps_an_inhibit_in_it() -> Non
     assert (word.word(), word.last()) == (None, 0x0004)
     now[0] = 3.0
     assert word.last() is None, "its watchdog may have inhibited it"
+
+
+def test_that_there_is_no_inhibit_counts_from_its_telegram_not_from_when_it_was_looked_at() -> None:
+    """A daemon that stood looks at the answer when the drive's watchdog has acted."""
+    now = [10.0]
+    word = ControlWord(
+        lambda: now[0], WORD, mask=0x0200, moved_by=[INHIBIT],
+        inhibited_by=inhibit_proofs(family("8200vector")), watchdog_s=2.0, watchdog_inhibits=True,
+    )  # fmt: skip
+    word.heard(10.0)
+    word.seen(WORD, Value.hexadecimal(0x0004, 4), 10.0)
+    now[0] = 14.0
+    word.seen(Code(150), Value.hexadecimal(0x0600, 4), 10.1)
+    word.heard(10.1)
+    assert word.inhibited() is None
+    word.written(WORD, Value.hexadecimal(0x0004, 4), heard=True, at_s=10.2)
+    word.heard(10.2)
+    assert word.inhibited() is None

@@ -8,6 +8,7 @@ power stage, looked at whenever the drive changes, not what a report says.
 from __future__ import annotations
 
 import asyncio
+import re
 from collections.abc import Awaitable, Callable
 from decimal import Decimal
 
@@ -314,3 +315,40 @@ def test_a_quick_stop_of_a_running_drive_is_no_inhibit(family: str, as_written: 
             await quick_stop(plant)
 
     with_plant(test, roster(family), word_as_written=as_written)
+
+
+@pytest.mark.parametrize("family", ["8200vector", "821x", "93xx"])
+def test_a_quick_stop_of_the_group_keeps_an_inhibit_that_is_shown_before_it_is_sent(
+    family: str,
+) -> None:
+    """The exchange that is under way when the stop is asked for may show it."""
+    after_showing = []
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        drive, operations = plant.line["a"], plant.site.operations
+        with_setpoint(drive.model, family)
+        for step in range(40):
+            for name in "ab":
+                assert (await operations.verb(name, Verb.ENABLE)).outcome is Outcome.VERIFIED
+            await anyio.sleep(1.0)
+            drive.model.preset(40, "0")  # at its keypad
+            await anyio.sleep(step * 0.002)
+            before = len(plant.end.heard)
+            begun_s = plant.now_s
+            assert (await operations.stop(QUICK, "both")).outcome is Outcome.VERIFIED
+            plant.line.advance(plant.now_s)
+            first = next(
+                one.at_s for one in plant.end.sent
+                if one.at_s >= begun_s and one.data[3:6] == b"\x02=5"
+            )  # fmt: skip
+            heard = b"".join(one.data for one in plant.end.heard[before:] if one.at_s < first)
+            words = [int(word, 16) for word in re.findall(rb"\?0H([0-9A-F]{4})", heard)]
+            shown = any(word & 0x0080 for word in words)  # controller inhibit
+            if shown:
+                after_showing.append(step)
+                assert drive.model.inhibited()
+        assert after_showing
+
+    text = roster(family).replace("restore: true", "cyclic: [{code: C0150, every: 50ms}]")
+    with_plant(test, text, word_as_written=True)

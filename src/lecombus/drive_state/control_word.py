@@ -96,13 +96,19 @@ class ControlWord:
             self._free_at_s = None
         self._heard_at_s = at_s
 
-    def seen(self, code: Code, value: Value) -> None:
+    def seen(self, code: Code, value: Value, at_s: float | None = None) -> None:
         """Take a value that was read.
 
         While a write that moves the word has not ended, what is read may be from before it.
+
+        Args:
+            code: What was read.
+            value: The value.
+            at_s: When the telegram to the drive began, monotonic seconds; None: now. The daemon may
+                look at its answer much later, when the drive's watchdog has acted.
         """
         if code in self._proofs:
-            self._look_for_inhibit(code, value)
+            self._look_for_inhibit(code, value, self._clock() if at_s is None else at_s)
         self._keep(code, value)
 
     def _keep(self, code: Code, value: Value) -> None:
@@ -112,7 +118,7 @@ class ControlWord:
         if word is not None:
             self._word = self._last_word = word
 
-    def _look_for_inhibit(self, code: Code, value: Value) -> None:
+    def _look_for_inhibit(self, code: Code, value: Value, at_s: float) -> None:
         shown = self._proofs[code].shown_by(value)
         if shown is None:
             return
@@ -125,15 +131,16 @@ class ControlWord:
         rank = list(self._proofs).index(code)
         self._shown -= set(list(self._proofs)[rank:])
         if not self._shown and not self._commanded and not self._moving:
-            self._free_at_s, self._last_free = self._clock(), True
+            self._free_at_s, self._last_free = at_s, True
 
-    def written(self, code: Code, value: Value, *, heard: bool) -> None:
+    def written(self, code: Code, value: Value, *, heard: bool, at_s: float | None = None) -> None:
         """Take a write that was sent and not refused.
 
         Args:
             code: What was written.
             value: The value.
             heard: The drive acknowledged it.
+            at_s: As for `seen`.
         """
         if code not in self._moved_by:
             return
@@ -142,7 +149,8 @@ class ControlWord:
             self._command()
         else:
             # Perhaps it lifts the inhibit; where the drive did not answer, perhaps it did not.
-            self._free_at_s = self._clock() if heard else None
+            at_s = self._clock() if at_s is None else at_s
+            self._free_at_s = at_s if heard else None
             if heard:
                 self._commanded, self._last_free = False, True
                 self._shown.clear()

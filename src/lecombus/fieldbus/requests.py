@@ -170,6 +170,9 @@ class StopWork:
     error: ExchangeError | None
     attempts: int
 
+    def begin_unsaid(self) -> None:
+        """The multicast that was to say it was not sent: say it first."""
+
 
 class MulticastWork:
     """The job of a multicast.

@@ -23,7 +23,7 @@ from lecombus.operations.context import OperationContext
 from lecombus.operations.operation_reports import GroupReport, Proof, WriteReport, group_report
 from lecombus.operations.writes import Writes
 from lecombus.parameters import Code, Value
-from lecombus.schedule import Outcome, Priority, Request, ignore_end
+from lecombus.schedule import Outcome, Priority, Request
 
 __all__ = ["STOP_REMEDY", "Stops"]
 
@@ -149,11 +149,38 @@ class Stops:
         form = self._context.requests.maker.shared_form(able, code)
         if form is None:
             return None
-        return self._context.requests.maker.multicast(
+        names = tuple(one.name for one in able)
+
+        def settle(outcome: Outcome, _: str) -> None:
+            if outcome is Outcome.REFUSED:  # it was not sent
+                for name in names:
+                    self._begin_unsaid(name, action)
+
+        shared = self._context.requests.maker.multicast(
             Station(target, group.multicast_address, able[0].family, (form,)),
-            able, code, value, Priority.STOP, settle=ignore_end,
-            stops=tuple(one.name for one in able),
+            able, code, value, Priority.STOP, settle=settle, stops=names,
         )  # fmt: skip
+        if any(needs_control_word(one.family, action) for one in able):
+            shared.is_outdated = lambda: self._is_outdated(able, action, value)
+        return shared
+
+    def _is_outdated(self, able: tuple[Station, ...], action: StopAction, value: Value) -> bool:
+        """Whether a telegram for all would now write another word to one of them.
+
+        Since it was made one may have been read as inhibited: the telegram would lift that.
+        """
+        for one in able:
+            word = usable_word(self._context.control_word(one.name).get())
+            if word is None or stop_value(one.family, action, word)[1].raw != value.raw:
+                return True
+        return False
+
+    def _begin_unsaid(self, name: str, action: StopAction) -> None:
+        """Have the stop of a drive begin with its own telegram."""
+        waiting = self._stops.get((name, action))
+        job = waiting.request.work if waiting is not None else None
+        if isinstance(job, StopWork):
+            job.begin_unsaid()
 
     def _is_being_inhibited(self, name: str) -> bool:
         """Whether a stop is about to change the control word that was read last."""

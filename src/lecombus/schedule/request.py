@@ -18,6 +18,7 @@ __all__ = [
     "DEFERRED",
     "LEASE_ENDED",
     "OUT",
+    "OUTDATED",
     "QUEUED",
     "REPLACED",
     "STOPPED",
@@ -43,6 +44,9 @@ STOPPED: Final = "ended by a stop of the drive"
 
 CLIENT_GONE: Final = "its client closed the connection before it was sent"
 """Why a write ended that waited when the client that asked for it left."""
+
+OUTDATED: Final = "it was made from what is not true any more"
+"""Why a stop of several drives was not sent as one telegram."""
 
 REPLACED: Final = "a later request took its place"
 """Why a write ended behind which a later one of the same went out."""
@@ -137,6 +141,8 @@ class Request:
             the first telegram; None: it is sent even if its client has left.
         lease_ended: Says whether the lease has ended by which it was permitted. The line asks
             directly before each telegram that writes; None: it needs no lease.
+        is_outdated: Says whether its telegram is made from what is not true any more. The line asks
+            directly before the first one; None: it is made from nothing that changes.
         says: For a write: what it changes, such as a code; equal for two that change the same.
         halts: It is a plain write that stops its drives.
         lifts_nothing: Besides, it stops them in any state, and can lift no other stop.
@@ -162,6 +168,7 @@ class Request:
     hold_s: float = 0.0
     is_gone: Callable[[], bool] | None = None
     lease_ended: Callable[[], bool] | None = None
+    is_outdated: Callable[[], bool] | None = None
     says: Hashable | None = None
     halts: bool = False
     lifts_nothing: bool = False
@@ -222,6 +229,8 @@ class Request:
             return self.overtaken
         if self.is_gone is not None and not self.attempts and self.is_gone():
             return CLIENT_GONE
+        if self.is_outdated is not None and not self.attempts and self.is_outdated():
+            return OUTDATED
         if writes and self.lease_ended is not None and self.lease_ended():
             return LEASE_ENDED
         return ""

@@ -196,16 +196,18 @@ class StoreRecord:
 
 def record_control_words(event: ExchangeEvent) -> None:
     """Keep what an exchange shows of the control words of its drives."""
+    began_s = event.report.result.started_s
     if event.written is not None:
         for drive in event.drives:
+            word = drive.control_word
             if event.to_all:
-                drive.control_word.written_to_all(event.code, event.written)
+                word.written_to_all(event.code, event.written)
             else:
-                drive.control_word.written(event.code, event.written, heard=event.acknowledged)
+                word.written(event.code, event.written, heard=event.acknowledged, at_s=began_s)
     if event.read is not None:
-        event.drives[0].control_word.seen(event.code, event.read)
+        event.drives[0].control_word.seen(event.code, event.read, began_s)
     if event.answered and event.drives:
-        event.drives[0].control_word.heard(event.report.result.started_s)
+        event.drives[0].control_word.heard(began_s)
 
 
 class MetricsRecord:

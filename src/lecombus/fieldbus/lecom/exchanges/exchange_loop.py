@@ -370,6 +370,8 @@ class LecomExchangeLoop:
     def _say(self, request: Request, now: float) -> None:
         """Start the exchange of the next step of a request."""
         job: Job = request.work  # type: ignore[assignment]
+        if request.is_outdated is not None:
+            self._publish()  # the last exchange may have shown it
         unwanted = why_unwanted(request, job)
         if unwanted:
             self._withdraw(request, now, unwanted)

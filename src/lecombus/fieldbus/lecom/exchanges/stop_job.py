@@ -155,6 +155,11 @@ class StopJob(StopWork):
         self._turned = False  # it is being sent in the other addressing form
         self._step: JobStep | None = None
 
+    def begin_unsaid(self) -> None:
+        """The multicast that was to say it was not sent: say it first."""
+        if self._since_s is None:
+            self._checking, self._least_sayings, self._step = False, LEAST_STOP_ATTEMPTS, None
+
     @property
     def step(self) -> JobStep:
         """What is to be sent now; it stays the same from the first look until its result."""
