@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
+from collections.abc import Awaitable, Callable
+from functools import partial
 from typing import Any
 
 import anyio
@@ -9,7 +12,7 @@ import pytest
 
 from lecombus.config import DriveEntry
 from lecombus.drive_state.readings import DriveState
-from lecombus.drives import StopAction
+from lecombus.drives import StopAction, Verb
 from lecombus.errors import OperationError
 from lecombus.fieldbus.lecom.simulator.drive import SimDrive
 from lecombus.fieldbus.lecom.simulator.faults import Faults
@@ -27,6 +30,7 @@ DRIVES = [("a", 11, "8200vector"), ("b", 12, "8200vector"), ("v", 21, "smvector"
 ALLOW = "allow_address_change: true"
 GROUPS = "\ngroups: {teens: {members: [a, b]}}"
 ROSTER = roster_text(DRIVES, drive=ALLOW, sections=GROUPS)
+WRITES = roster_text(DRIVES, drive=f"{ALLOW}, also_writable: [C0040, C0135]")
 
 
 async def ready(plant: Plant) -> None:
@@ -223,6 +227,87 @@ def test_a_drive_that_turns_is_left_where_it_is() -> None:
         assert "whether its motor still turns it does not measure" in report.reason
 
     with_plant(test, ROSTER)
+
+
+Meanwhile = Callable[[Plant], Awaitable[object]]
+
+
+async def enabled_at_the_keypad(plant: Plant) -> None:
+    plant.line["a"].model.preset(40, "1")
+    plant.line["a"].model.preset(135, "H0000")
+
+
+async def enabled_by_plain_writes(plant: Plant) -> None:
+    for code, value in ((135, "H0000"), (40, 1)):
+        assert (await plant.site.operations.write("a", Code(code), value)).outcome is Outcome.DONE
+
+
+@pytest.mark.parametrize("meanwhile", [enabled_at_the_keypad, enabled_by_plain_writes])
+def test_one_that_runs_when_its_address_was_saved_is_left_where_it_is(meanwhile: Meanwhile) -> None:
+    state = State()
+
+    async def test(plant: Plant) -> None:
+        await ready(plant)
+
+        async def saver() -> None:
+            await meanwhile(plant)
+            await anyio.sleep(1.0)
+
+        state.saver = saver
+        with pytest.raises(OperationError) as caught:
+            await change(plant, 35)
+        assert caught.value.kind == "not-stopped"
+        assert plant.line["a"].address == 11
+        assert (state.drive("a").moved, remark(plant)) == (None, "")
+
+    with_plant(test, WRITES, state=state)
+
+
+def test_nor_is_it_written_behind_a_write_that_may_enable_the_drive() -> None:
+    state = State()
+
+    async def test(plant: Plant) -> None:
+        await ready(plant)
+        submit = plant.site.worker.submit
+        writing: list[asyncio.Task[WriteReport]] = []
+
+        def enables(request: Request) -> None:
+            submit(request)
+            if request.writes and not writing:
+                ask = plant.site.operations.write("a", Code(40), 1)
+                writing.append(asyncio.create_task(ask))
+
+        plant.site.worker.submit = enables  # type: ignore[method-assign]
+        with pytest.raises(OperationError, match="a write came that may have enabled it"):
+            await change(plant, 35)
+        assert (await writing[0]).outcome is Outcome.DONE
+        assert plant.line["a"].address == 11
+        assert state.drive("a").moved is None
+
+    with_plant(test, WRITES, state=state)
+
+
+def test_it_is_not_enabled_while_its_address_changes_and_the_other_way_round() -> None:
+    state = State()
+
+    async def test(plant: Plant) -> None:
+        await ready(plant)
+        enable = partial(plant.site.operations.verb, "a", Verb.ENABLE)
+
+        async def saver() -> None:
+            with pytest.raises(OperationError, match="readdress of a is under way") as caught:
+                await enable()
+            assert caught.value.kind == "busy"
+
+        state.saver = saver
+        assert (await change(plant, 35)).outcome is Outcome.VERIFIED
+        await plant.online("a")
+        enabling = asyncio.create_task(enable())
+        await anyio.sleep(0.0)
+        assert (await refused(plant, 36)).kind == "busy"
+        assert (await enabling).outcome is Outcome.VERIFIED
+
+    with_plant(test, WRITES, state=state)
 
 
 def test_a_drive_that_refuses_stays() -> None:

@@ -30,7 +30,7 @@ from lecombus.parameters import Json
 
 if TYPE_CHECKING:
     from lecombus.config import DriveEntry
-    from lecombus.drives import Family, Verb
+    from lecombus.drives import Family
     from lecombus.drives.faults.fault_tables import FaultKind
     from lecombus.drives.measured import SlowAnswers
     from lecombus.fieldbus.requests import Station
@@ -306,7 +306,7 @@ class LastingRecord:
             not sent.
         stops_and_writes: How often it was to stop, by a stop or by a plain write.
         lifts: How many plain writes may have lifted its inhibit.
-        verb: The enable or the reset that is under way (`operations.verb_steps`).
+        alone: The enable, the reset or the change of its address that is under way.
         awaited: What verbs wait for and a stop cuts short (`operations.verb_steps`).
         full_at_s: By code that is stored at every write: when its limit of writes is back at a
             whole burst, monotonic seconds (`operations.wear`).
@@ -320,7 +320,7 @@ class LastingRecord:
     stop_write_done: Callable[[], Awaitable[bool]] | None = None
     stops_and_writes: int = 0
     lifts: int = 0
-    verb: Verb | None = None
+    alone: str = ""
     awaited: set[anyio.CancelScope] = field(default_factory=set)
     full_at_s: dict[Code, float] = field(default_factory=dict)
     restarted_s: float = -math.inf

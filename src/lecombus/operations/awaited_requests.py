@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextvars import ContextVar
 from typing import Final
 
@@ -174,6 +174,27 @@ class Requests:
         if held_s is not None and lasting.stop_written_at_s >= held_s:
             return True
         return came_s is not None and lasting.stopped_at_s > came_s
+
+    @contextlib.contextmanager
+    def alone(self, drive: str, work: str) -> Iterator[None]:
+        """Let one enable, reset or change of address at a time be made of a drive.
+
+        Raises:
+            OperationError: `busy`.
+        """
+        lasting = self.drives.lasting(drive)
+        if lasting.alone:
+            raise OperationError(
+                f"{lasting.alone} of {drive} is under way: {work} was not begun",
+                kind="busy",
+                drive=drive,
+                remedy="ask again when it has ended; a stop need not wait",
+            )
+        lasting.alone = work
+        try:
+            yield
+        finally:
+            lasting.alone = ""
 
     def station(self, name: str) -> Station:
         """Return how a drive is spoken to.

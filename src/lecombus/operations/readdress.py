@@ -5,9 +5,11 @@ says that it went well but the drive itself, found again. So this is done in ste
 can still end well:
 
 1. *before*: the roster allows it, no drive has the address, the drive is online, the one it should
-   be, and is stopped, as far as it can say; the new address is silent when it is asked.
-   Nothing was changed yet.
-2. *the write*, once, never repeated blindly.
+   be, and is stopped, as far as it can say; the new address is silent when it is asked. What is
+   about to be written is saved, which may take seconds: then the drive is asked once more whether
+   it is stopped. Nothing was changed yet.
+2. *the write*, once, never repeated blindly, and not behind a write that may let the drive run.
+   Until all is over the drive is not enabled, nor its fault reset.
 3. *after*: the new address is asked for its own address and identity. Found: the line follows,
    a drive that needs it gets the command to save, and a remark stands until the roster says the
    same.
@@ -146,36 +148,48 @@ class Readdress:
         """
         async with self._one_at_a_time:
             station = self._requests.station(drive)
-            stops = self._requests.stops_said(drive)
-            self._check(drive, station, address)
-            held = await self._see_that_it_is_stopped(station)
-            async with self._at(station, address) as there:
-                await self._see_silence(drive, there)
-                before = self._state.drive(drive).moved
-                # Should lecombus end after the write, the next run must know of it.
-                self._remember(drive, self._unseen(address))
-                await self._state.save_now()
-                try:
-                    report = await self._write(drive, station, address, stops)
-                except TROUBLE:
-                    self._remember(drive, before)
-                    raise
-                if report is not None:
-                    self._remember(drive, before)
-                    return report
-                found = await self._find(drive, there, address)
-            if found:
-                report = self._moved(drive, station, address, held)
-                return await self._save(drive, report)
-            report = await self._look_back(drive, station, address)
-            if report.outcome is Outcome.REFUSED:  # it has its old address
+            with self._requests.alone(drive, "readdress"):
+                return await self._change(drive, station, address)
+
+    async def _change(self, drive: str, station: Station, address: int) -> WriteReport:
+        """Take the steps, while nothing else may enable the drive."""
+        lasting = self._drives.lasting(drive)
+        stops, lifts = lasting.stops, lasting.lifts
+        self._check(drive, station, address)
+        await self._see_that_it_is_stopped(station)
+        async with self._at(station, address) as there:
+            await self._see_silence(drive, there)
+            before = self._state.drive(drive).moved
+            # Should lecombus end after the write, the next run must know of it.
+            self._remember(drive, self._unseen(address))
+            await self._state.save_now()
+            try:
+                held = await self._see_that_it_is_stopped(station)
+                report = await self._write(drive, station, address, stops, lifts)
+            except TROUBLE:
                 self._remember(drive, before)
-            return report
+                raise
+            if report is not None:
+                self._remember(drive, before)
+                return report
+            found = await self._find(drive, there, address)
+        if found:
+            report = self._moved(drive, station, address, held)
+            return await self._save(drive, report)
+        report = await self._look_back(drive, station, address)
+        if report.outcome is Outcome.REFUSED:  # it has its old address
+            self._remember(drive, before)
+        return report
 
     async def _write(
-        self, drive: str, station: Station, address: int, stops: int
+        self, drive: str, station: Station, address: int, stops: int, lifts: int
     ) -> WriteReport | None:
         """Write the address once; None: the drive may have taken it."""
+        lasting, is_gone = self._drives.lasting(drive), IS_GONE.get()
+
+        def is_unwanted() -> bool:
+            return lasting.lifts != lifts or (is_gone is not None and is_gone())
+
         self._check(drive, station, address)
         code = address_code(station.family)
         was_stopped = self._requests.stops_said(drive) != stops
@@ -185,8 +199,10 @@ class Readdress:
         logger.warning("drive=%s event=readdress from=%d to=%d", drive, station.address, address)
         outcome, reason = await self._requests.write(
             station, code, Value.decimal(address), verify=False,
-            lease_ended=self._leases.ended_check({drive: Use.SETTING}), is_gone=IS_GONE.get(),
+            lease_ended=self._leases.ended_check({drive: Use.SETTING}), is_gone=is_unwanted,
         )  # fmt: skip
+        if reason == CLIENT_GONE and lasting.lifts != lifts:
+            raise self._not_stopped(station, "may run: a write came that may have enabled it")
         if outcome is Outcome.SUPERSEDED:
             return stopped_first(drive, code)
         if outcome in (Outcome.DONE, Outcome.UNKNOWN):
@@ -231,14 +247,19 @@ class Readdress:
         )
         if not found.obstacle:
             return found.known
+        raise self._not_stopped(station, found.obstacle, inhibited=found.inhibited)
+
+    def _not_stopped(
+        self, station: Station, obstacle: str, *, inhibited: bool = False
+    ) -> OperationError:
         remedy = f"`lecombus inhibit {station.name}` first: while its address changes it cannot be "
         remedy += "stopped over the line"
-        raise OperationError(
-            f"{station.name} {found.obstacle}",
+        return OperationError(
+            f"{station.name} {obstacle}",
             kind="not-stopped",
             drive=station.name,
-            code=str(code),
-            remedy="wait until its motor has come to rest" if found.inhibited else remedy,
+            code=str(address_code(station.family)),
+            remedy="wait until its motor has come to rest" if inhibited else remedy,
         )
 
     async def _see_silence(self, drive: str, there: Station) -> None:

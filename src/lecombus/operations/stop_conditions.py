@@ -174,11 +174,11 @@ class ShownStops:
     def held(self, drive: str) -> frozenset[StopAction]:
         """Return the stops of the line that a drive has shown within `SHOWN_WITHIN_S`.
 
-        None while a verb is under way that may let it run: what it has written may not be known
-        yet.
+        None while an enable or a reset is under way, which may let it run: what it has written may
+        not be known yet.
         """
         found = self._requests.drives.find(drive)
-        if found is None or self._requests.drives.lasting(drive).verb is not None:
+        if found is None or self._requests.drives.lasting(drive).alone:
             return frozenset()
         family, values = found.family, {}
         for code in held_stop_codes(family):

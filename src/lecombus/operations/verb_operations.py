@@ -109,7 +109,8 @@ class Verbs:
         if self._context.requests.stopped_since_asked(drive):
             return verb_report(run, superseded(run))
         # A setpoint may follow another that is under way.
-        with contextlib.nullcontext() if verb is Verb.SET_SPEED else self._steps.alone(drive, verb):
+        alone = self._context.requests.alone
+        with contextlib.nullcontext() if verb is Verb.SET_SPEED else alone(drive, verb):
             try:
                 report = await self._whole(run, value, unit)
                 report = await self._unless_stopped(run, report)

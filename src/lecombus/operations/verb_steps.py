@@ -11,7 +11,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Final, TypeVar
@@ -250,28 +250,6 @@ class VerbSteps:
     def lifted_meanwhile(self, run: Run) -> bool:
         """Whether another client may have lifted the inhibit of the verb."""
         return run.lifts not in (None, self._context.lasting(run.station.name).lifts)
-
-    @contextlib.contextmanager
-    def alone(self, drive: str, verb: Verb) -> Iterator[None]:
-        """Let one verb at a time change a drive.
-
-        Raises:
-            OperationError: `busy`.
-        """
-        lasting = self._context.lasting(drive)
-        other = lasting.verb
-        if other is not None:
-            raise OperationError(
-                f"{other} of {drive} is under way: {verb} was not begun",
-                kind="busy",
-                drive=drive,
-                remedy="ask again when it has ended; a stop need not wait",
-            )
-        lasting.verb = verb
-        try:
-            yield
-        finally:
-            lasting.verb = None
 
 
 def words_of(station: Station) -> tuple[Code, ...]:
