@@ -28,7 +28,7 @@ class CountedAudits(AuditQueue):
 
     asked = 0
 
-    def ask(self, drive: Drive) -> None:
+    def ask(self, drive: Drive, *, restarted: bool = True) -> None:
         self.asked += 1
 
 

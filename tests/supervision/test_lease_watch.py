@@ -12,7 +12,7 @@ import anyio
 import pytest
 
 from lecombus.drive_state.motion import Doing
-from lecombus.drive_state.readings import DriveState
+from lecombus.drive_state.readings import ADDRESSING_LOCK, ADDRESSING_MOVED, DriveState
 from lecombus.drives import FAMILY_NAMES, StopAction, Verb
 from lecombus.errors import OperationError
 from lecombus.fieldbus.lecom.simulator.faults import Faults
@@ -23,9 +23,11 @@ from lecombus.parameters import Code
 from lecombus.saved_state import State
 from lecombus.schedule import Outcome, Priority
 from support.rosters import roster_text
+from support.sim_host import code_field
 from support.site_host import Plant, until, with_plant
 
 KINDS = [name for name in FAMILY_NAMES if name != "generic"]
+MOVED = {ADDRESSING_LOCK, ADDRESSING_MOVED}
 WATCHED = "{time: 3s, action: inhibit, configure: true}"
 T = TypeVar("T")
 
@@ -846,6 +848,30 @@ async def miss_two_exchanges(plant: Plant) -> None:
     plant.line.faults.absent = {11}
     await until(lambda: health.misses >= 2)
     plant.line.faults.absent = set()
+
+
+@pytest.mark.parametrize("code", [248, 249])
+def test_one_that_stands_is_not_stopped_again_because_its_moved_addressing_is_looked_at(
+    code: int,
+) -> None:
+    async def test(plant: Plant) -> None:
+        async with controlled(plant) as client:
+            client.alive = False
+        plant.line["a"].model.preset(code, "1")
+        plant.end.unplug()
+        await anyio.sleep(1.0)
+        plant.end.replug()
+        await anyio.sleep(60.0)
+        assert plant.site.store.drive("a").remarks.keys() & MOVED
+        ends: list[str] = []
+        client.ops.leases.followers += (lambda what, drives, fields: ends.append(what),)
+        asked_s = plant.now_s
+        await anyio.sleep(1000.0)
+        field = code_field(code, extended=True)
+        assert len([one for one in plant.sent_to(11, asked_s) if field in one.data]) >= 2
+        assert ends == []
+
+    with_plant(test, roster(watchdog="", names="ab"))
 
 
 @pytest.mark.parametrize(

@@ -66,12 +66,15 @@ class AuditQueue:
         self._waiting: list[tuple[Drive, RunningAudit]] = []
         self._wanted = asyncio.Event()
 
-    def ask(self, drive: Drive) -> None:
+    def ask(self, drive: Drive, *, restarted: bool = True) -> None:
         """Have a drive audited; one under audit is audited once more when that has ended.
 
-        Its control word is not known any more: it may have restarted.
+        Args:
+            drive: The drive.
+            restarted: It may have restarted: its control word is not known any more.
         """
-        drive.may_have_restarted()
+        if restarted:
+            drive.may_have_restarted()
         if drive.audit.running is not None:
             drive.audit.again = True
             drive.audit.running.repeat()

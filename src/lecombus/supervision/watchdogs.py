@@ -325,7 +325,7 @@ class Rechecks:
         """Ask one drive, if it is still one to be asked."""
         drive = self._requests.drives.find(name)
         if drive is not None and self._is_moved(drive):
-            self._health.audits.ask(drive)
+            self._health.audits.ask(drive, restarted=False)
             return
         watched = self._watched(drive)
         if drive is None or watched is None:
