@@ -429,6 +429,48 @@ def test_what_changed_nothing_leaves_the_address_before_as_it_was_remembered() -
     with_plant(test, ROSTER, state=state)
 
 
+@pytest.mark.parametrize("first", [False, True])
+def test_a_reload_before_a_write_that_is_refused_leaves_no_remark_of_it(*, first: bool) -> None:
+    state = State()
+
+    async def test(plant: Plant) -> None:
+        await ready(plant)
+        if not first:
+            assert (await change(plant, 35)).outcome is Outcome.VERIFIED
+            await until(lambda: plant.state("a") is DriveState.ONLINE)
+            await plant.site.operations.stop(StopAction.INHIBIT, "a")
+        text = ROSTER if first else ROSTER.replace("address: 11", "address: 35")
+
+        async def saver() -> None:
+            plant.apply(text.replace(GROUPS, ""))
+            assert "36 was written as its address" in remark(plant)
+
+        state.saver = saver
+        plant.line.drive_faults[plant.line["a"].address] = Faults(nak=1.0)
+        assert (await change(plant, 36)).outcome is Outcome.REFUSED
+        assert (state.drive("a").moved, remark(plant)) == (None, "")
+
+    with_plant(test, ROSTER, state=state)
+
+
+def test_nor_does_a_reload_that_takes_the_drive_out() -> None:
+    state = State()
+
+    async def test(plant: Plant) -> None:
+        await ready(plant)
+
+        async def saver() -> None:
+            plant.apply(roster_text(DRIVES[1:], drive=ALLOW))
+
+        state.saver = saver
+        assert (await refused(plant, 36)).kind == "no-such-drive"
+        assert state.drive("a").moved is None
+        plant.apply(ROSTER)
+        assert remark(plant) == ""
+
+    with_plant(test, ROSTER, state=state)
+
+
 def test_a_line_that_is_lost_behind_the_write_leaves_the_outcome_open() -> None:
     async def test(plant: Plant) -> None:
         await ready(plant)

@@ -116,11 +116,7 @@ class Readdress:
         for drive in self._drives:
             if not self._following:
                 drive.home = drive.entry.address
-            facts = self._state.drive(drive.name)
-            if facts.moved is not None and facts.moved.address == drive.home:
-                facts.moved = None
-                self._state.touch()
-            self._remark(drive.name, drive.home, facts.moved)
+            self._judge(drive)
 
     def seen_at_home(self, drive: Drive) -> None:
         """Note that a drive answers at the roster's address with the expected identity."""
@@ -167,10 +163,10 @@ class Readdress:
                 held = await self._see_that_it_is_stopped(station)
                 report = await self._write(drive, station, address, stops, lifts)
             except TROUBLE:
-                self._remember(drive, before)
+                self._put_back(drive, before)
                 raise
             if report is not None:
-                self._remember(drive, before)
+                self._put_back(drive, before)
                 return report
             found = await self._find(drive, there, address)
         if found:
@@ -178,7 +174,7 @@ class Readdress:
             return await self._save(drive, report)
         report = await self._look_back(drive, station, address)
         if report.outcome is Outcome.REFUSED:  # it has its old address
-            self._remember(drive, before)
+            self._put_back(drive, before)
         return report
 
     async def _write(
@@ -394,6 +390,21 @@ class Readdress:
     def _remember(self, drive: str, moved: Moved | None) -> None:
         self._state.drive(drive).moved = moved
         self._state.touch()
+
+    def _put_back(self, drive: str, before: Moved | None) -> None:
+        """Nothing was changed; a reload may have made a remark of what was about to be."""
+        self._remember(drive, before)
+        found = self._drives.find(drive)
+        if found is not None:
+            self._judge(found)
+
+    def _judge(self, drive: Drive) -> None:
+        """Remark where a drive was moved to, unless the roster says the same."""
+        facts = self._state.drive(drive.name)
+        if facts.moved is not None and facts.moved.address == drive.home:
+            facts.moved = None
+            self._state.touch()
+        self._remark(drive.name, drive.home, facts.moved)
 
     def _remark(self, drive: str, roster: int, moved: Moved | None) -> None:
         text = None
