@@ -38,6 +38,7 @@ class Daemon:
 
     def __init__(self) -> None:
         self.state = "online"
+        self.states: list[str] | None = ["ready"]
         self.fault: dict[str, Any] | None = None
         self.remarks: dict[str, str] = {}
         self.motion_is_old = False
@@ -100,7 +101,7 @@ class Daemon:
 
     def drive(self, name: str) -> dict[str, Any]:
         return {"drive": name, "address": 11, "family": "8200vector", "state": self.state,
-                "reason": None, "since": rfc3339(0), "states": ["ready"], "fault": self.fault,
+                "reason": None, "since": rfc3339(0), "states": self.states, "fault": self.fault,
                 "remarks": self.remarks,
                 "motion": {"doing": "stopped", "stale": self.motion_is_old},
                 "values": [self.value()]}  # fmt: skip
@@ -153,6 +154,32 @@ def follow(script: Callable[[Followed], Any]) -> None:
             tasks.cancel_scope.cancel()
 
     run(work())
+
+
+def test_a_fault_is_over_only_when_the_states_of_its_drive_are_known() -> None:
+    """A daemon that was started again has not yet read the drive that is still tripped."""
+
+    async def script(seen: Followed) -> None:
+        daemon, feeder = seen.daemon, seen.follower.drives
+        daemon.fault = {"kind": "trip", "keypad": "OC1", "number": 11, "stale": False}
+        await anyio.sleep(1.5)
+        before = seen.kinds()
+        assert before[-1] == "trip"
+        daemon.states, daemon.fault, daemon.state = None, None, "starting"
+        await anyio.sleep(2)
+        assert feeder["feeder"].fault == {
+            "kind": "trip", "keypad": "OC1", "number": 11, "stale": True
+        }  # fmt: skip
+        daemon.states, daemon.state = ["fault"], "online"
+        daemon.fault = {"kind": "trip", "keypad": "OC1", "number": 11, "stale": False}
+        await anyio.sleep(2)
+        assert "trip" not in seen.kinds()[len(before) :]
+        daemon.fault = None
+        await anyio.sleep(2)
+        assert seen.kinds()[-1] == "trip"
+        assert feeder["feeder"].fault is None
+
+    follow(script)
 
 
 def test_what_a_drive_did_before_it_fell_silent_is_not_what_it_does() -> None:

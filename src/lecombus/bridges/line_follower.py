@@ -20,14 +20,13 @@
   empty). Further kinds: `connected`, `away` (`data["reason"]`), `looked` (the whole picture was
   compared, about once a second while the daemon answers) and the daemon's `gap`.
 - Writes are not made here: use `lecombus.client.connect(follower.socket)`.
+- Passwords (codes that the family's description calls secret) are not taken over.
 
 Strategy: events bring changes when they happen; a look at `/v1/drives` each second brings the age
 of every value, since events repeat an unchanged value only every 30 s, and shows that the daemon
 still works. What an event said while a look was under way is newer than what the look brings. A
 look that is not answered within `AWAY_AFTER_S`, or a stream of events that ends, means that the
 daemon is away; then the follower connects again, ever more seldom, and asks for what it missed.
-
-Passwords (codes that the family's description calls secret) are not taken over.
 """
 
 from __future__ import annotations
@@ -437,10 +436,11 @@ class LineFollower:
             data = {key: document.get(key) for key in ("drive", "state", "reason", "since")}
             self._give("state", drive.name, {**data, "states": document.get("states")})
         had, fault = drive.fault, document.get("fault")
+        if fault is None and had is not None and drive.states is None:
+            fault = {**had, "stale": True}  # none is only certain while its states are known
         drive.fault = fault
         if fault_key(had) != fault_key(fault):
-            shown = had if fault is None else fault
-            data = {"drive": drive.name, "active": fault is not None, "fault": shown}
+            data = {"drive": drive.name, "active": fault is not None, "fault": fault or had}
             self._give("trip", drive.name, data)
         remarks = {str(key): str(text) for key, text in (document.get("remarks") or {}).items()}
         before, drive.remarks = drive.remarks, remarks
