@@ -60,6 +60,31 @@ def test_read_stored_asks_what_is_known(run: Run, daemon: DaemonStub) -> None:
     assert run("read", "feeder", "C46", "--stored").status == 0
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["feeder", "C0046", "--baud", "9600"], "without --port, --baud would do nothing"),
+        (["feeder", "C0046", "--family", "93xx"], "without --port, --family would do nothing"),
+        (["feeder", "C0046", "--address", "3"], "without --port, --address would do nothing"),
+        (["feeder", "C0046", "--stored", "--address", "3", "--baud", "19200"],
+         "without --port, --address, --baud would do nothing"),
+        (["--port", "/dev/x", "--address", "3", "--stored", "C0046"],
+         "--stored is what a daemon knows, and --port asks none"),
+        (["--port", "/dev/x", "--address", "3", "--socket", "x.sock", "C0046"],
+         "--port and a daemon are both given"),
+        (["--port", "", "feeder", "C0046"], "it is empty; name the port, or leave it out"),
+    ],
+)  # fmt: skip
+def test_an_option_of_read_that_would_do_nothing_is_refused(
+    run: Run, daemon: DaemonStub, words: list[str], said: str
+) -> None:
+    daemon.answers["GET /v1/drives/feeder/codes/C0046?fresh=true"] = (200, READING)
+    daemon.answers["GET /v1/drives/feeder/codes/C0046"] = (200, READING)
+    ran = run("read", *words)
+    assert (ran.status, ran.out, daemon.asked) == (2, "", [])
+    assert said in ran.err
+
+
 def test_a_subcode_becomes_part_of_the_path(run: Run, daemon: DaemonStub) -> None:
     daemon.answers["GET /v1/drives/a%20b/codes/C0039/1?fresh=true"] = (200, READING)
     assert run("read", "a b", "C0039/1").status == 0

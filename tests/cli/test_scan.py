@@ -232,6 +232,13 @@ def test_what_cannot_be_is_said(run: Run, words: list[str], status: int, golden:
     golden(ran.err.partition("; is the adapter")[0])  # which are there, each machine says
 
 
+@pytest.mark.parametrize("words", [["--parity", "port"], ["--direction", "rts"], ["--name", "x"]])
+def test_an_option_of_the_port_is_refused_where_a_daemon_scans(run: Run, words: list[str]) -> None:
+    ran = run("scan", *words)
+    assert (ran.status, ran.out) == (2, "")
+    assert f"without --port, {words[0]} would do nothing" in ran.err
+
+
 def test_a_file_is_overwritten_only_when_told_to(run: Run, tmp_path: Path) -> None:
     wanted = tmp_path / "kept.yaml"
     wanted.write_text("mine")

@@ -294,6 +294,8 @@ def daemon_options(function: Callable[..., int]) -> Callable[..., int]:
 
 def whole_path(context: click.Context, parameter: click.Parameter, port: str | None) -> str | None:
     """Let a device be named from the folder in use; a roster wants whole paths."""
+    if port == "":  # such as a variable that is not set: no daemon is meant
+        raise click.BadParameter("it is empty; name the port, or leave it out")
     if port and ":" not in port and Path(port).exists():
         return str(Path(port).absolute())
     return port

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import click
+from click.core import ParameterSource
 
 from lecombus.cli.arguments import (
     CODE,
@@ -48,7 +49,9 @@ SENT_ONLY = (
 @click.option("--family", default="generic", show_default=True, help="The drive's family.")
 @click.option("--baud", type=click.Choice(BAUDS), default="9600", show_default=True)
 @daemon_options
+@click.pass_context
 def read_command(
+    ctx: click.Context,
     words: Sequence[str],
     stored: bool,
     port: str | None,
@@ -66,7 +69,8 @@ def read_command(
     by tabs. With --json: {"drive", "code", "subcode", "name", "value", "raw", "format", "unit",
     "quality", "reason", "time", "age_s", "text"}. A value of quality bad makes the exit status 1.
     """
-    if port:
+    _refuse_unused(ctx, port, daemon, stored=stored)
+    if port is not None:
         code = _only_code(words)
         from lecombus.api.decimal_json import encode
         from lecombus.cli.own_line import read_directly
@@ -80,6 +84,33 @@ def read_command(
         answer = ask(daemon, path) if stored else ask(daemon, path, fresh="true")
     show(answer, show_reading, as_json=daemon.as_json)
     return Exit.FAILED if answer.data.get("quality") == "bad" else Exit.DONE
+
+
+def _refuse_unused(
+    ctx: click.Context, port: str | None, daemon: DaemonOptions, *, stored: bool
+) -> None:
+    """Refuse options that would do nothing: another value would be read than is meant.
+
+    Raises:
+        CommandError: There are some.
+    """
+    if port is None:
+        of_port = ("address", "family", "baud")
+        given = [f"--{one}" for one in of_port
+                 if ctx.get_parameter_source(one) is ParameterSource.COMMANDLINE]  # fmt: skip
+        if given:
+            raise CommandError(
+                Exit.USAGE,
+                f"without --port, {', '.join(given)} would do nothing: the daemon reads DRIVE as "
+                "its roster describes it",
+                "leave it out" if len(given) == 1 else "leave them out",
+            )
+    elif stored:
+        problem = "--stored is what a daemon knows, and --port asks none"
+        raise CommandError(Exit.USAGE, problem, "leave one of them out")
+    elif daemon.socket or daemon.url:
+        problem = "--port and a daemon are both given"
+        raise CommandError(Exit.USAGE, problem, "leave one of them out")
 
 
 def _drive_address(address: int | None) -> int:

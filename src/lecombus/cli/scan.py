@@ -15,6 +15,7 @@ from typing import Any
 
 import anyio
 import click
+from click.core import ParameterSource
 
 from lecombus.cli.arguments import DaemonOptions, daemon_options, whole_path
 from lecombus.cli.daemon_access import work
@@ -129,7 +130,9 @@ def _bauds(ctx: click.Context, param: click.Parameter, text: str | None) -> tupl
               help="Write the roster there instead of showing it.")  # fmt: skip
 @click.option("--force", is_flag=True, help="Overwrite FILE.")
 @daemon_options
+@click.pass_context
 def scan_command(
+    ctx: click.Context,
     port: str | None,
     bauds: tuple[int, ...],
     all_bauds: bool,
@@ -170,6 +173,12 @@ def scan_command(
         if all_bauds or bauds:
             what = "a daemon scans at its line's baud rate only"
             remedy = "leave the rates out, or stop the daemon and scan with --port"
+            raise CommandError(Exit.USAGE, what, remedy)
+        given = [f"--{one}" for one in ("parity", "direction", "name")
+                 if ctx.get_parameter_source(one) is ParameterSource.COMMANDLINE]  # fmt: skip
+        if given:
+            what = f"without --port, {', '.join(given)} would do nothing: a daemon scans its line"
+            remedy = "leave it out" if len(given) == 1 else "leave them out"
             raise CommandError(Exit.USAGE, what, remedy)
         return _through_daemon(options, daemon)
     if daemon.socket or daemon.url:
