@@ -20,7 +20,7 @@ import serial
 
 from cli.conftest import Run
 from cli.test_simulate import simulated
-from lecombus.cli import rebaud
+from lecombus.cli import main, rebaud
 from lecombus.cli.rebaud import carry_out
 from lecombus.config import Roster, parse_roster
 from lecombus.errors import LineLostError
@@ -261,17 +261,85 @@ def terminal() -> Iterator[str]:
     os.close(master)
 
 
-def test_a_signal_interrupts_and_lets_the_step_end(roster: Path, terminal: str) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_interrupts_and_lets_the_step_end(
+    roster: Path, terminal: str, number: signal.Signals
+) -> None:
     read = parse_roster(roster.read_text().replace(str(roster.parent / "bus"), terminal), "r")
     noted: list[str] = []
 
     async def procedure(line: LineAccess) -> None:
-        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), number)
         await line.wait(9600, 0.3)
         noted.append("ended")
 
     run_loop(carry_out, procedure, read, (), lambda: noted.append("interrupted"), lambda: None)
     assert noted == ["interrupted", "ended"]
+
+
+def test_a_hangup_that_the_user_keeps_away_interrupts_nothing(
+    roster: Path, terminal: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = parse_roster(roster.read_text().replace(str(roster.parent / "bus"), terminal), "r")
+    noted: list[str] = []
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
+
+    async def procedure(line: LineAccess) -> None:
+        os.kill(os.getpid(), signal.SIGHUP)
+        await line.wait(9600, 0.3)
+
+    try:
+        run_loop(carry_out, procedure, read, (), lambda: noted.append("interrupted"), lambda: None)
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert noted == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_at_the_question_behind_a_split_line_still_shows_where_the_drives_are(
+    run: Run, roster: Path, line: RebaudLine, monkeypatch: pytest.MonkeyPatch,
+    number: signal.Signals,
+) -> None:  # fmt: skip
+    def before(step: Step) -> None:
+        refused = isinstance(step, Write) and step.drive == "belt"
+        line.line.faults.nak = 1.0 if refused else 0.0
+
+    def asked(question: str) -> bool:
+        if question.startswith("Not every drive"):
+            os.kill(os.getpid(), number)
+        return True
+
+    line.before = before
+    monkeypatch.setattr(rebaud, "can_ask", lambda: True)
+    monkeypatch.setattr(rebaud, "make_sure", lambda question, as_json: None)
+    monkeypatch.setattr("click.confirm", asked)
+    ran = run("rebaud", "19200", "-c", str(roster))
+    assert ran.status == 1
+    assert "feeder\t11\tat 19200 baud\t" in ran.out
+
+
+def test_the_report_reaches_a_file_when_the_terminal_is_gone(
+    roster: Path, line: RebaudLine, monkeypatch: pytest.MonkeyPatch, capfd: Any
+) -> None:
+    def before(step: Step) -> None:
+        nonlocal master
+        if isinstance(step, Write) and master >= 0:
+            os.close(master)
+            master = -1
+
+    master, slave = pty.openpty()
+    line.before = before
+    kept = os.dup(2)
+    os.dup2(slave, 2)
+    os.close(slave)
+    try:
+        status = main(["rebaud", "19200", "-c", str(roster), "--yes"])
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+    assert (status, master) == (0, -1)
+    assert "feeder\t11\tat 19200 baud\t" in capfd.readouterr().out
 
 
 def test_a_port_lost_before_the_first_write_says_that_nothing_was_written(

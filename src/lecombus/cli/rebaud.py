@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import signal
 import socket
-from collections.abc import Awaitable, Callable
-from contextlib import suppress
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import FrameType
+from typing import Final, NoReturn
 
 import anyio
 import click
@@ -17,7 +19,14 @@ from lecombus.capacity.watchdog_feasibility import find_infeasible
 from lecombus.cli.arguments import json_option, roster_option
 from lecombus.cli.exits import CommandError, Exit, Problem, status_of_cause
 from lecombus.cli.own_line import OwnPort, own_port
-from lecombus.cli.screen import can_ask, make_sure, on_terminal, progress, show_rows
+from lecombus.cli.screen import (
+    can_ask,
+    forget_terminal,
+    make_sure,
+    on_terminal,
+    progress,
+    show_rows,
+)
 from lecombus.config import DriveEntry, Roster, load_roster
 from lecombus.drives import family, saving_rule
 from lecombus.drives.procedures import ReadAttempt, WriteAttempt, identity_codes
@@ -54,7 +63,8 @@ Procedure = Callable[[LineAccess], Awaitable[None]]
 
 RATES = [str(baud) for baud in BAUDS]
 
-_INTERRUPTS = (signal.SIGINT, signal.SIGTERM)
+_LIKE_CTRL_C: Final = (signal.SIGTERM, signal.SIGHUP)
+"""What ends the work as Ctrl-C does; the second comes when the terminal is gone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,7 +282,8 @@ def _do(work: Rebaud, options: RebaudOptions) -> int:
     ):
         went_back = True
         trouble = _try(work, work.back, options, DrivePlace.OLD, work.old)
-    show_end(work, options.roster, trouble, as_json=options.as_json)
+    with _at_signals(lambda number, frame: None):  # the report comes whole
+        show_end(work, options.roster, trouble, as_json=options.as_json)
     if work.line.interrupted:
         return Exit.INTERRUPTED
     unsaved = any(drive.saved is False for drive in work.drives)
@@ -307,7 +318,10 @@ def _carry(work: Rebaud, procedure: Procedure, roster: Roster, shown: Shown) -> 
         def watch() -> None:
             bar.advance(sum(map(shown.counts, work.drives)), len(work.drives))
 
-        run(carry_out, procedure, roster, subjects, interrupt, watch)
+        try:
+            run(carry_out, procedure, roster, subjects, interrupt, watch)
+        finally:
+            forget_terminal()  # else the end of the bar would fail, and hide where the drives are
 
 
 def _try(
@@ -331,12 +345,37 @@ def _wants_back(work: Rebaud, options: RebaudOptions) -> bool:
         return True
     if options.yes or options.as_json or not can_ask():
         return False
-    for drive in work.drives:
-        if drive.why:
-            click.echo(f"{drive.name}: {drive.why}")
-    with suppress(click.Abort):
+    with suppress(click.Abort), _at_signals(_abort):
+        for drive in work.drives:
+            if drive.why:
+                click.echo(f"{drive.name}: {drive.why}")
         return click.confirm(f"Not every drive came over. Bring all back to {work.old} baud?")
     return False
+
+
+Handler = Callable[[int, FrameType | None], None]
+
+
+def _abort(number: int, frame: FrameType | None) -> NoReturn:
+    """End a question as Ctrl-C does."""
+    forget_terminal()
+    raise click.Abort
+
+
+@contextmanager
+def _at_signals(handler: Handler) -> Iterator[None]:
+    """Handle what ends a program, but for Ctrl-C, while the block runs."""
+    before = {number: signal.signal(number, handler) for number in _heeded()}
+    try:
+        yield
+    finally:
+        for number, former in before.items():
+            signal.signal(number, former)
+
+
+def _heeded() -> list[signal.Signals]:
+    """Return the signals that end the work: not those that `nohup` keeps away."""
+    return [one for one in _LIKE_CTRL_C if signal.getsignal(one) is not signal.SIG_IGN]
 
 
 def show_plan(work: Rebaud, roster: Roster, *, as_json: bool) -> None:
@@ -472,9 +511,10 @@ async def _listen(
     *,
     task_status: anyio.abc.TaskStatus[None] = anyio.TASK_STATUS_IGNORED,
 ) -> None:
-    with anyio.open_signal_receiver(*_INTERRUPTS) as signals:
+    with anyio.open_signal_receiver(signal.SIGINT, *_heeded()) as signals:
         task_status.started()
         async for _ in signals:
+            forget_terminal()
             interrupt()
 
 

@@ -11,7 +11,10 @@ such as a lost line or a refused code, are shown in a pipe too, except with JSON
 
 from __future__ import annotations
 
+import errno
+import os
 import sys
+import termios
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Self
@@ -29,6 +32,7 @@ __all__ = [
     "age",
     "can_ask",
     "counted",
+    "forget_terminal",
     "harmless",
     "make_sure",
     "mark",
@@ -55,6 +59,19 @@ def on_terminal() -> bool:
 def can_ask() -> bool:
     """Return whether a person is in front of this command, to be asked."""
     return sys.stdin.isatty() and sys.stdout.isatty()
+
+
+def forget_terminal() -> None:
+    """Let what is printed go nowhere if its terminal is gone; a file or a pipe still gets it."""
+    for descriptor in (1, 2):
+        try:
+            termios.tcgetattr(descriptor)
+        except termios.error as exc:
+            if exc.args[0] != errno.EIO:  # it is no terminal
+                continue
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, descriptor)
+            os.close(nowhere)
 
 
 def make_sure(question: str, *, as_json: bool) -> None:
