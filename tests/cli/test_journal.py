@@ -173,13 +173,30 @@ def test_follow_asks_behind_the_newest_row(
 
 @pytest.mark.parametrize(
     "words",
-    [("--since", "yesterday"), ("--since", "8h", "--last", "5"), ("--csv", "--json")],
+    [
+        ("--since", "yesterday"), ("--since", "8h", "--last", "5"), ("--csv", "--json"),
+        ("--since", "99999999h"), ("--since", "999999999h"),
+    ],
     ids=" ".join,
 )
 def test_what_is_wrong_is_said(run: Run, daemon: DaemonStub, words: tuple[str, ...]) -> None:
     ran = run("journal", *words)
     assert (ran.status, ran.out) == (2, "")
     assert daemon.asked == []
+
+
+def test_a_day_that_is_none_in_utc_is_no_time(
+    run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TZ", "America/New_York")
+    time.tzset()
+    try:
+        ran = run("journal", "--since", "9999-12-31 23:59")
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+    assert (ran.status, ran.out, daemon.asked) == (2, "", [])
+    assert "9999-12-31 23:59 is no time" in ran.err
 
 
 def test_verify_says_whether_it_is_whole(run: Run, daemon: DaemonStub) -> None:

@@ -45,10 +45,12 @@ def _time(word: str) -> str:
     """Read a local date and time, or how long ago, as RFC 3339."""
     try:
         when = datetime.now(UTC) - timedelta(seconds=parse_duration(word))
+    except OverflowError:
+        raise click.BadParameter(f"{word} ago is before the year 1") from None
     except DurationError as exc:
         try:
             when = datetime.fromisoformat(word).astimezone(UTC)
-        except ValueError:
+        except (ValueError, OverflowError):  # a day that is none in UTC, or not in Unix time
             if "unknown unit" in exc.what:
                 raise click.BadParameter(f"{word} {exc.what}: {exc.right}") from None
             right = 'write a date and time such as "2026-11-23 06:00", or how long ago, such as 8h'
