@@ -25,7 +25,7 @@ from lecombus.backups import (
     read_progress,
     wanted_codes,
 )
-from lecombus.cli.backup import Notes
+from lecombus.cli.backup import Notes, digest_of
 from lecombus.cli.drive_access import HttpDrive
 from lecombus.cli.restore import result_json, show_plan, show_result
 from lecombus.drives import family
@@ -599,6 +599,27 @@ def test_what_was_stopped_since_is_not_enabled_by_going_on(
         assert "it was stopped since, or lecombus was started again: it stays inhibited" in ran.err
     else:
         assert "the inhibit is lifted at the end: the motor may turn" in ran.err
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_a_restore_that_was_killed_before_its_enable_enables_when_it_is_run_again(
+    run: Run, drive: Drive, tmp_path: Path, stopped: bool
+) -> None:
+    path = to_restore(run, drive, tmp_path)
+    drive.code("C0011", "60")
+    drive.code("C2011", "70")
+    drive.rights(stops="r-feeder-3" if stopped else "r-feeder-2")
+    drive.takes("C0040")
+    digest = digest_of(path.read_text())
+    with Notes.opened("hall-3", "feeder") as notes:
+        notes.begin(Progress(str(path), digest, "2026-11-23T12:00:00Z", True, stops="r-feeder-2"))
+        notes.done(Code(11), Value.parse("60"))
+    ran = run("restore", str(path), "feeder", "--yes", "--enable")
+    assert ran.status == 0
+    lifted = [] if stopped else [f"PUT {DRIVE}/codes/C0040"]
+    assert writes(drive) == lifted
+    assert ("feeder is not inhibited any more" in ran.out) is not stopped
+    assert ("stays inhibited" in ran.err) is stopped
 
 
 def test_our_own_inhibit_is_no_stop_since(run: Run, drive: Drive, tmp_path: Path) -> None:

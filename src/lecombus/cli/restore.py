@@ -200,7 +200,9 @@ def carry_out(options: RestoreOptions, seen: Seen, notes: Notes) -> int:
         if options.enable and before is not None and before.enabled and not seen.enabled:
             show_enabling(options.drive, enabled=enabled)
     check(options, seen)
-    if not plan.steps and not unsaved:
+    # All may be written already, and only the inhibit be left of the restore that is gone on with.
+    is_left_inhibited = options.enable and enabled and not seen.enabled
+    if not plan.steps and not unsaved and not is_left_inhibited:
         notes.finish()
         give_result(plan, Restored(), options, lambda *_: None)
         return Exit.DONE
