@@ -186,3 +186,30 @@ def test_forget_times_says_in_a_pipe_too_that_there_was_nothing(
     ran = run("forget-times", "feeder")
     assert (ran.status, ran.out) == (0, "")
     assert "nothing was measured of feeder" in ran.err
+
+
+UNKNOWN = json.dumps(
+    {
+        "type": "urn:lecombus:problem:unknown", "title": "Outcome unknown", "status": 504,
+        "detail": "lecombus started again since this was asked for", "drive": None, "code": None,
+        "cause": None, "remedy": "look at the drive, then ask for it again", "outcome": "unknown",
+    }
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("words", "path"),
+    [
+        (("accept", "feeder", "--seen", "C1810=NEW"), "/v1/drives/feeder/accept"),
+        (("forget-times", "feeder"), "/v1/drives/feeder/forget-times"),
+        (("reload",), "/v1/reload"),
+    ],
+)
+@pytest.mark.parametrize("as_json", [False, True])
+def test_what_is_not_known_to_be_done_is_not_said_to_be(
+    run: Run, swapped: DaemonStub, words: tuple[str, ...], path: str, as_json: bool
+) -> None:
+    swapped.answers[f"POST {path}"] = (504, UNKNOWN)
+    ran = run(*words, *(["--json"] if as_json else []))
+    assert (ran.status, ran.out) == (1, "")
+    assert "lecombus started again since this was asked for" in ran.err

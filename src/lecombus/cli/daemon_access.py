@@ -17,7 +17,13 @@ import click
 
 from lecombus.cli.arguments import DaemonOptions
 from lecombus.cli.exits import CommandError, Exit
-from lecombus.client.connection import LEASE_HEADER, Json, finish, open_connection
+from lecombus.client.connection import (
+    LEASE_HEADER,
+    Json,
+    finish,
+    open_connection,
+    problem_error,
+)
 from lecombus.client.documents import Answer
 from lecombus.client.errors import (
     AmbiguousDaemonError,
@@ -38,6 +44,7 @@ __all__ = [
     "connected",
     "drive_path",
     "group_path",
+    "refuse_problem",
     "show",
     "work",
 ]
@@ -102,6 +109,17 @@ def act(
         if unsure and not daemon.as_json:
             click.echo(f"interrupted: {unsure}", err=True)
         raise
+
+
+def refuse_problem(answer: Answer) -> None:
+    """Refuse an answer that says that something was not done, or that this is not known.
+
+    Raises:
+        CommandError: It is such a one.
+    """
+    if not 200 <= answer.status < 300:
+        with command_errors():
+            raise problem_error(answer)
 
 
 def work(daemon: DaemonOptions, do: Callable[[Line], Awaitable[T]]) -> T:

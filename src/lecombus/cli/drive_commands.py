@@ -7,7 +7,7 @@ from functools import partial
 import click
 
 from lecombus.cli.arguments import CODE, DaemonOptions, Word, daemon_options
-from lecombus.cli.daemon_access import act, ask, drive_path, show
+from lecombus.cli.daemon_access import act, ask, drive_path, refuse_problem, show
 from lecombus.cli.document_rows import Document, cells_of, show_outcomes, status_of
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.screen import age, on_terminal, show_rows, table_text
@@ -59,6 +59,7 @@ def accept_command(
         return Exit.FAILED if known.get("problem") else Exit.DONE
     _confirm_identity(drive, differing, dict(seen), may_ask=on_terminal() and not daemon.as_json)
     answer = act(daemon, "POST", f"{path}/accept", {"identity": found})
+    refuse_problem(answer)
     accepted_text = f"{drive} is accepted; it is audited now, then it may be written to"
     show(answer, lambda _: click.echo(accepted_text), as_json=daemon.as_json)
     return Exit.DONE
@@ -188,6 +189,7 @@ def forget_times_command(drive: str, daemon: DaemonOptions) -> int:
     With --json: the daemon's document.
     """
     answer = act(daemon, "POST", f"{drive_path(drive)}/forget-times", {})
+    refuse_problem(answer)
     show(answer, partial(_show_forgotten, drive), as_json=daemon.as_json)
     return Exit.DONE
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from lecombus.cli.arguments import DaemonOptions, daemon_options
-from lecombus.cli.daemon_access import act, show
+from lecombus.cli.daemon_access import act, refuse_problem, show
 from lecombus.cli.document_rows import Document, is_done
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.screen import on_terminal, show_rows, table_text
@@ -28,6 +28,8 @@ def reload_command(daemon: DaemonOptions) -> int:
     """
     answer = act(daemon, "POST", "/v1/reload", {})
     if not is_done(answer.data):
+        if not answer.data.get("mistakes"):  # whether it was read is not known
+            refuse_problem(answer)
         if daemon.as_json:
             click.echo(answer.text)
             return Exit.USAGE
