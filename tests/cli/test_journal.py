@@ -174,8 +174,11 @@ def test_follow_asks_behind_the_newest_row(
 @pytest.mark.parametrize(
     "words",
     [
-        ("--since", "yesterday"), ("--since", "8h", "--last", "5"), ("--csv", "--json"),
-        ("--since", "99999999h"), ("--since", "999999999h"),
+        ("--since", "yesterday"),
+        ("--since", "8h", "--last", "5"),
+        ("--csv", "--json"),
+        ("--since", "99999999h"),
+        ("--since", "999999999h"),
     ],
     ids=" ".join,
 )
