@@ -108,6 +108,9 @@ async def test_a_token_for_another_drive_opens_no_call_about_this_one(
         ("C0040", "control"),  # controller inhibit
         ("C0135", "control"),  # control word
         ("C0012", "write"),  # acceleration time
+        ("C0001", "control"),  # says who controls it: the line or the terminals
+        ("C2001", "control"),  # the same of another parameter set
+        ("C0410", "control"),  # wires its signals
         ("C0002", "control"),  # loads parameter sets
         ("C0043", "control"),  # resets a trip
         ("C1234", "control"),  # nothing is known of it
@@ -214,7 +217,8 @@ async def test_lists_show_the_drives_of_the_token_only(line: Line) -> None:
 async def test_a_read_only_daemon_reads_and_stops(call: tuple[str, str], need: Need) -> None:
     line = make_line()
     routes = cast(list[Route], line.app.routes)
-    line.app.router.routes[:] = guarded(routes, cast(Operations, line.ops), read_only=True)
+    ops, family_of = cast(Operations, line.ops), line.store.family
+    line.app.router.routes[:] = guarded(routes, ops, family_of, read_only=True)
     answer = await ask(line.app, *call)
     reads = need.scope in (Scope.METRICS, Scope.READ)
     assert allows(answer) == (reads or need.is_stop)
@@ -230,7 +234,7 @@ def test_a_route_without_a_row_ends_the_start(line: Line) -> None:
     with pytest.raises(AssertionError, match=r"no row .* POST /v1/new"):
         guarded(
             [Route("/v1/new", open_door, methods=["POST"])], cast(Operations, line.ops),
-            read_only=False,
+            line.store.family, read_only=False,
         )  # fmt: skip
 
 

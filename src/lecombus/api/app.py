@@ -87,7 +87,7 @@ def create_app(
         *ServiceRoutes(metrics, ready, healthy, version or "0").routes(),
     ]
     app = Starlette(
-        routes=guarded(routes, ops, read_only=read_only),
+        routes=guarded(routes, ops, store.family, read_only=read_only),
         middleware=[Middleware(with_plain_stop_paths)],
         exception_handlers=ERROR_ANSWERS,
     )

@@ -29,6 +29,7 @@ from starlette.types import Message
 from lecombus.api.answers import ProblemDocument, RefusedRequestError
 from lecombus.api.decimal_json import short
 from lecombus.api.limits import SparseLog
+from lecombus.drives import Family
 from lecombus.errors import LecombusError
 from lecombus.operations.actions import ACTOR
 from lecombus.operations.facade import Operations
@@ -41,6 +42,8 @@ __all__ = ["NEEDS", "Need", "Of", "guarded", "reaches", "require_drives", "requi
 logger = logging.getLogger(__name__)
 
 Endpoint = Callable[[Request], Awaitable[Response]]
+FamilyOf = Callable[[str], Family]
+"""Gives the family of a drive by its name, or raises an error of lecombus."""
 
 
 class Of(Enum):
@@ -136,19 +139,24 @@ HERE_READ_ONLY: Final = ProblemDocument(
 )
 
 
-def guarded(routes: Sequence[Route], ops: Operations, *, read_only: bool) -> list[Route]:
+def guarded(
+    routes: Sequence[Route], ops: Operations, family_of: FamilyOf, *, read_only: bool
+) -> list[Route]:
     """Return routes that are answered only to who may ask.
 
     Args:
         routes: The routes of the application, in order.
-        ops: Knows the groups and the families of the drives.
+        ops: Knows the groups.
+        family_of: Knows the families of the drives.
         read_only: Whether all but reads and stops are refused.
     """
     refused = SparseLog(logger, "not-permitted")
-    return [with_guard(route, ops, refused, read_only=read_only) for route in routes]
+    return [with_guard(route, ops, family_of, refused, read_only=read_only) for route in routes]
 
 
-def with_guard(route: Route, ops: Operations, refused: SparseLog, *, read_only: bool) -> Route:
+def with_guard(
+    route: Route, ops: Operations, family_of: FamilyOf, refused: SparseLog, *, read_only: bool
+) -> Route:
     """Return a route behind the guard."""
     methods = sorted((route.methods or set()) - {"HEAD"})  # HEAD is GET without a body
     needs = {method: NEEDS.get((method, route.path)) for method in methods}
@@ -164,7 +172,7 @@ def with_guard(route: Route, ops: Operations, refused: SparseLog, *, read_only: 
 
         def judge() -> None:
             try:
-                check(request, need, ops, read_only=read_only)
+                check(request, need, ops, family_of, read_only=read_only)
             except RefusedRequestError as exc:
                 who = ACTOR.get().fields()
                 refused.log(**who, call=f"{method}_{route.path}", reason=exc.problem.kind)
@@ -203,7 +211,9 @@ def lease_token(request: Request) -> str:
     return found[0].strip() if found else ""
 
 
-def check(request: Request, need: Need, ops: Operations, *, read_only: bool) -> None:
+def check(
+    request: Request, need: Need, ops: Operations, family_of: FamilyOf, *, read_only: bool
+) -> None:
     """Refuse a request that may not be made.
 
     Raises:
@@ -220,15 +230,16 @@ def check(request: Request, need: Need, ops: Operations, *, read_only: bool) -> 
         raise not_permitted("the token is for some drives, and this is about the whole line")
     scope = need.scope
     if scope is None:
-        scope = scope_of_write(place, ops)
+        scope = scope_of_write(place, ops, family_of)
     if scope not in grant.scopes:
         raise not_permitted(f"this needs the scope {scope}, which the token does not have", scope)
 
 
-def scope_of_write(place: Mapping[str, str], ops: Operations) -> Scope:
+def scope_of_write(place: Mapping[str, str], ops: Operations, family_of: FamilyOf) -> Scope:
     """Return what the write of a code needs: `control` where one of the drives may move by it.
 
-    A code that is none is refused by the route.
+    Not only commands do that: a code that says who controls a drive (C0001, C0005, P420) hands a
+    running motor to its terminals. A code that is none is refused by the route.
     """
     try:
         subcode = place.get("subcode")
@@ -236,7 +247,15 @@ def scope_of_write(place: Mapping[str, str], ops: Operations) -> Scope:
     except LecombusError:
         return Scope.WRITE
     names = members_of(place["group"], ops) if "group" in place else (place["drive"],)
-    return Scope.CONTROL if any(ops.is_command(name, code) for name in names) else Scope.WRITE
+    moves = any(ops.is_command(name, code) or gives_control(family_of(name), code)
+                for name in names)  # fmt: skip
+    return Scope.CONTROL if moves else Scope.WRITE
+
+
+def gives_control(family: Family, code: Code) -> bool:
+    """Whether a code says who controls a drive."""
+    info = family.info(code)
+    return info is not None and info.control_source
 
 
 def require_target(target: str, ops: Operations) -> None:
