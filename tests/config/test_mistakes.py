@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from config.rosters import GOOD, drive_with, line_with, only, parsed, roster_with, said
@@ -385,10 +387,20 @@ def test_a_line_needs_drives(drives: str) -> None:
         ("journal: {file: /a/b}\napi: {socket: /a/b}", "`api.socket` is the file of"),
         ("state: /a/b\napi: {tokens: /a/b}", "`api.tokens` is the file of `state` too"),
         ("api: {socket: /a, tls: {certificate: /b, key: /a}}", "`api.tls.key` is the file of"),
+        ("journal: /var/lib/lecombus/hall-3.json", "`journal.file` is the file of `state` too"),
+        (f"journal: {Path('r.yaml').absolute()}", "`journal.file` is this roster, in whose place"),
+        (f"state: {Path('r.yaml').absolute()}", "`state` is this roster, in whose place"),
     ],
 )  # fmt: skip
 def test_what_lecombus_writes_is_a_file_of_its_own(more: str, wrong: str) -> None:
     assert wrong in only(roster_with(more))
+
+
+def test_the_file_of_a_state_that_is_not_kept_is_free() -> None:
+    more = "journal: /var/lib/lecombus/hall-3.json"
+    simulated = roster_with(more).replace("/dev/serial/by-id/usb-1", "sim")
+    assert parsed(simulated).state is None
+    assert parsed(roster_with(f"{more}\nstate: /s")).state == "/s"
 
 
 def test_what_is_only_read_may_be_one_file() -> None:

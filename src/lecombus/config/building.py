@@ -6,11 +6,11 @@ Only called for a roster without mistakes, so every value is there or has a defa
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any, Final
 
 from lecombus.config.checks import default_socket, drives_of
 from lecombus.config.container_types import Fields, Item, Items
+from lecombus.config.interface_checks import STATE_DIR, usual_state
 from lecombus.config.keys import ALL
 from lecombus.drives import Family, family
 from lecombus.fieldbus.protocols import find
@@ -38,9 +38,6 @@ from lecombus.roster import (
 )
 
 __all__ = ["RENAMED", "STATE_DIR", "build_roster"]
-
-STATE_DIR = Path("/var/lib/lecombus")
-"""Where a line keeps its state file unless the roster says another place; the unit makes it."""
 
 RENAMED: Final[Mapping[str, str]] = {
     "turnaround": "turnaround_s", "adapter_latency": "adapter_latency_s",
@@ -80,10 +77,8 @@ def build_roster(roster: Fields, file: str) -> Roster:
 
 
 def _state(given: str | None, line: LineEntry) -> str | None:
-    """Return the state file; what simulated drives say is worth nothing after the end."""
-    if given is not None or line.port.startswith("sim:"):
-        return given
-    return str(STATE_DIR / f"{line.name}.json")
+    """Return the state file."""
+    return usual_state(line.name, line.port) if given is None else given
 
 
 def _fields(entry: Fields, without: Collection[str] = ()) -> dict[str, Any]:

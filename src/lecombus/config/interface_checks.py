@@ -6,13 +6,25 @@ Each check is as those of `checks`, which calls `check_interfaces`.
 from __future__ import annotations
 
 from os.path import normpath
+from pathlib import Path
 from typing import Final
 
 from lecombus.config.container_types import Fields, Items
 from lecombus.config.mistakes import Mistakes, shown
 from lecombus.roster import is_loopback
 
-__all__ = ["check_interfaces"]
+__all__ = ["STATE_DIR", "check_interfaces", "usual_state"]
+
+STATE_DIR = Path("/var/lib/lecombus")
+"""Where a line keeps its state file unless the roster says another place; the unit makes it."""
+
+
+def usual_state(line: str, port: str) -> str | None:
+    """Return the state file of a line whose roster names none.
+
+    What simulated drives say is worth nothing after the end.
+    """
+    return None if port.startswith("sim:") else str(STATE_DIR / f"{line}.json")
 
 
 def check_interfaces(roster: Fields, mistakes: Mistakes) -> None:
@@ -48,11 +60,14 @@ READ: Final = (("api", "tokens"), *(("tls", key) for key in ("certificate", "key
 
 
 def _check_written_files(roster: Fields, mistakes: Mistakes) -> None:
-    """Note a file that lecombus writes and that another key names too."""
-    api = roster.get("api")
+    """Note a file that lecombus writes and that another key names too, or is the roster."""
+    api, line = roster.get("api"), roster.get("line")
     parts = {"": roster, "api": api, "journal": roster.get("journal")}
     parts["tls"] = api.get("tls") if isinstance(api, Fields) else None
     first: dict[str, str] = {}
+    if isinstance(line, Fields) and "state" not in roster.nodes and line.get("name") is not None:
+        usual = usual_state(line.get("name"), line.get("port", ""))
+        first |= {} if usual is None else {usual: "state"}
     for part, key in (*WRITTEN, *READ):
         entry = parts[part]
         path = entry.get(key) if isinstance(entry, Fields) else None
@@ -60,7 +75,10 @@ def _check_written_files(roster: Fields, mistakes: Mistakes) -> None:
             continue
         above = {"": "", "tls": "api.tls."}.get(part, f"{part}.")
         other = first.get(normpath(path))
-        if other is not None:
+        if (part, key) in WRITTEN and Path(path).resolve() == Path(mistakes.file).resolve():
+            what = f"`{above}{key}` is this roster, in whose place lecombus would write"
+            mistakes.note(entry.place(key), what, "give it a file of its own")
+        elif other is not None:
             what = f"`{above}{key}` is the file of `{other}` too, which lecombus writes"
             mistakes.note(entry.place(key), what, "give each its own file")
         elif (part, key) in WRITTEN:
