@@ -68,6 +68,21 @@ def test_a_revoked_token_is_gone_and_the_others_stay(run: Run, file: Path) -> No
     assert [one.name for one in read_tokens(file)] == ["b"]
 
 
+def test_a_token_is_revoked_in_the_file_that_a_link_leads_to(
+    run: Run, file: Path, tmp_path: Path
+) -> None:
+    """A daemon may name the file itself, or another link."""
+    (tmp_path / "real").mkdir()
+    real = tmp_path / "real" / "tokens"
+    assert run("token", "new", "plc", "--scope", "control", "--file", str(real)).status == 0
+    real.chmod(0o600)
+    file.symlink_to(real)
+    assert run("token", "revoke", "plc").status == 0
+    assert (file.is_symlink(), read_tokens(real).entries) == (True, ())
+    assert stat.S_IMODE(real.stat().st_mode) == 0o600
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["real", "tokens"]
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [

@@ -237,9 +237,10 @@ def _path(file: Path | None, roster: Path | None, targets: tuple[str, ...] = ())
 @contextmanager
 def _changing(path: Path) -> Iterator[Tokens]:
     """Give the tokens of a file that no other command changes at the same time."""
-    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    place = path.resolve().parent  # that of the file itself, whichever link names it
+    folder = os.open(place, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
-        _lock(folder, path.parent)
+        _lock(folder, place)
         yield read_tokens(path, owners=owners_for_root())
     finally:
         os.close(folder)

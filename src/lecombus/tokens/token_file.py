@@ -211,15 +211,17 @@ def refused(path: Path, what: str, remedy: str) -> OperationError:
 def write_tokens(path: Path, tokens: Sequence[TokenEntry]) -> None:
     """Write a file of tokens again, as a whole; owner, group and mode stay as they were.
 
-    A new file has mode 0640, and where root makes it the group `lecombus` if there is one.
+    A link to a file stays one: what it leads to is written, for a daemon may name that. A new file
+    has mode 0640, and where root makes it the group `lecombus` if there is one.
 
     Raises:
         OSError: It cannot be written; the old file is there as before.
     """
     document = _Document(version=1, tokens=tuple(tokens))
     text = json.dumps(document.model_dump(mode="json"), indent=1) + "\n"
-    mode, owner, group = _kept(path)
-    descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    place = path.resolve() if path.exists() else path
+    mode, owner, group = _kept(place)
+    descriptor, name = tempfile.mkstemp(prefix=f".{place.name}.", dir=place.parent)
     try:
         with os.fdopen(descriptor, "w") as file:
             if os.geteuid() == 0 or group in os.getgroups():
@@ -228,13 +230,13 @@ def write_tokens(path: Path, tokens: Sequence[TokenEntry]) -> None:
             file.write(text)
             file.flush()
             os.fsync(descriptor)
-        Path(name).replace(path)
+        Path(name).replace(place)
     except BaseException as exc:  # an interrupt too: the file beside it holds digests
         Path(name).unlink(missing_ok=True)
         if isinstance(exc, OSError) and not exc.filename:
             exc.filename = str(path)  # a full disk does not name it
         raise
-    _sync_folder(path.parent)
+    _sync_folder(place.parent)
 
 
 def _kept(path: Path) -> tuple[int, int, int]:
