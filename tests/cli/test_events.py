@@ -49,6 +49,7 @@ EVENTS: list[tuple[str, dict[str, Any], str]] = [
                "drives": ["feeder", "belt"]}, "ended ui (7) feeder, belt: lapsed"),
     ("lease", {"what": "unlatched", "drives": ["feeder"]}, "unlatched feeder"),
     ("line", {"line": "hall", "state": "lost", "reason": "unplugged"}, "lost: unplugged"),
+    ("line", {"journal": "72:aed4115c"}, "the journal ends at row 72:aed4115c"),
     ("gap", {"missed": 12, "reason": "r"}, "12 events are missing: r; `lecombus status` shows "
      "what is known"),
     ("gap", {"missed": 1, "reason": "r"}, "1 event is missing: r; `lecombus status` shows "

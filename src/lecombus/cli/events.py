@@ -166,7 +166,9 @@ def lease(data: Document) -> str:
 
 
 def line(data: Document) -> str:
-    """Say how the line is doing."""
+    """Say how the line is doing, or which row of the journal is the newest."""
+    if data.get("journal"):
+        return f"the journal ends at row {table_text(data['journal'])}"
     return ": ".join(filter(None, cells_of(data, "state", "reason")))
 
 
