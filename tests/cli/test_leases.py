@@ -110,3 +110,19 @@ def test_the_status_is_that_of_the_command_as_a_shell_would_say_it(
         daemon = DaemonOptions(str(short_dir / "s"), None, as_json=False)
         asked = ("service", ["feeder"], 1.0, "")
         assert anyio.run(hold, daemon, asked, ["sh", "-c", script]) == status
+
+
+@pytest.mark.real
+def test_a_command_that_cannot_be_run_gives_the_lease_up(short_dir: Path) -> None:
+    """A lease that lapses stops its drives, and latches them."""
+    script = short_dir / "script"
+    script.write_text("no interpreter is named\n")
+    script.chmod(0o700)
+    with serve_stub(short_dir / "s") as stub:
+        stub.answers["GET /v1/groups"] = (200, '{"groups": []}')
+        stub.answers["PUT /v1/leases/service"] = (200, json.dumps(GRANTED))
+        stub.answers["DELETE /v1/leases/service"] = (200, "{}")
+        daemon = DaemonOptions(str(short_dir / "s"), None, as_json=False)
+        with pytest.raises(OSError, match="Exec format error"):
+            anyio.run(hold, daemon, ("service", ["feeder"], 1.0, ""), [str(script)])
+        assert "DELETE /v1/leases/service" in [what for what, _ in stub.asked]

@@ -116,22 +116,38 @@ def lease_command(
 async def hold(
     daemon: DaemonOptions, lease: tuple[str, Sequence[str], float, str], command: Sequence[str]
 ) -> int:
-    """Run a command under a lease; gives its exit status."""
-    import anyio
+    """Run a command under a lease; gives its exit status.
 
+    Raises:
+        OSError: It cannot be run; the lease was given up.
+    """
     name, targets, time_s, take_over = lease
+    failure: OSError | None = None
     async with connected(daemon) as line:
         with command_errors():
             async with line.lease(name, targets, time_s, take_over=take_over) as held:
-                variables = variables_of(daemon, held.token)
-                program = await anyio.open_process(
-                    command, env=variables, stdin=None, stdout=None, stderr=None
-                )
                 try:
-                    status = await program.wait()
-                    return status if status >= 0 else SIGNALLED - status
-                finally:
-                    await end(program)
+                    return await run(command, variables_of(daemon, held.token))
+                except OSError as exc:  # raised below: an error here would let the lease lapse
+                    failure = exc
+    assert failure is not None
+    raise failure
+
+
+async def run(command: Sequence[str], variables: dict[str, str]) -> int:
+    """Run a command to its end; gives its exit status as a shell does.
+
+    Raises:
+        OSError: It cannot be run.
+    """
+    import anyio
+
+    program = await anyio.open_process(command, env=variables, stdin=None, stdout=None, stderr=None)
+    try:
+        status = await program.wait()
+        return status if status >= 0 else SIGNALLED - status
+    finally:
+        await end(program)
 
 
 def variables_of(daemon: DaemonOptions, token: str) -> dict[str, str]:
