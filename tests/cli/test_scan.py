@@ -22,7 +22,7 @@ import pytest
 from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
 from cli.test_simulate import simulated
-from lecombus.cli import scan, scan_by_daemon
+from lecombus.cli import scan
 from lecombus.cli.arguments import whole_path
 from lecombus.config import load_roster, parse_roster
 from lecombus.fieldbus.lecom.protocol.controls import bcc
@@ -130,6 +130,30 @@ def test_with_json_everything_stands_in_one_document(run: Run, tmp_path: Path) -
     assert drive["says"]["C1494"] == "1.20"
     assert drive["watchdog"] == {"time_s": 0.05, "action": "none"}
     assert found["roster"].startswith("# What `lecombus scan` found.")
+
+
+@pytest.mark.real
+@pytest.mark.parametrize("words", [("12-13",), ("12",)])
+def test_two_drives_at_one_address_of_which_one_answers_later_are_remarked(
+    run: Run, tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    with drives(tmp_path, FEW, "--faults", "twins=12") as port:
+        ran = run("scan", "--port", port, "--bauds", "19200", "--addresses", *words, "--json")
+    remarks = {one["address"]: one["remarks"] for one in json.loads(ran.out)["drives"]}
+    assert [text for text in remarks.pop(12) if text.startswith("two drives at address 12?")]
+    assert not [text for texts in remarks.values() for text in texts if "two drives" in text]
+    assert (ran.status, ran.err) == (0, "")
+
+
+@pytest.mark.real
+def test_a_line_that_doubles_every_answer_is_not_called_two_drives(
+    run: Run, tmp_path: Path
+) -> None:
+    with drives(tmp_path, FEW, "--faults", "double=1:0.1s") as port:
+        ran = run("scan", "--port", port, "--bauds", "19200", "--addresses", "12-13", "--json")
+    said = [text for one in json.loads(ran.out)["drives"] for text in one["remarks"]]
+    assert not [text for text in said if "two drives" in text]
+    assert "answers came that nobody asked for, behind those of address 12, 13: two" in ran.err
 
 
 # ---- lines that give nothing --------------------------------------------------------------------
@@ -321,7 +345,7 @@ class InTurn(dict[str, tuple[int, str | None]]):
 def test_a_port_that_the_daemon_opens_again_as_no_drive_answers_ends_no_scan(
     run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch, is_opened: bool
 ) -> None:
-    monkeypatch.setattr(scan_by_daemon, "REOPENED_WITHIN_S", 0.3)
+    monkeypatch.setattr(scan, "REOPENED_WITHIN_S", 0.3)
     why = "no drive answers: cat (pid 7) has /dev/x open too"
     line = {"line": "hall-3", "port": "/dev/x", "baud": 9600, "remarks": {"silence": why}}
     lost = (200, json.dumps({**line, "state": "lost"}))

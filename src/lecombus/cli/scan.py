@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import tempfile
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,14 +19,14 @@ from lecombus.cli.arguments import DaemonOptions, daemon_options, whole_path
 from lecombus.cli.daemon_access import work
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.own_line import OwnPort, own_port
-from lecombus.cli.scan_by_daemon import ByDaemon
-from lecombus.cli.screen import Bar, on_terminal, progress, show_rows
+from lecombus.cli.scan_progress import ScanProgress, look_s, scan_bar
+from lecombus.cli.screen import on_terminal, show_rows
+from lecombus.cli.second_answers import SECOND_WITHIN_S, SecondAnswers
 from lecombus.cli.whole_file import write_whole
-from lecombus.client import Line, finding
-from lecombus.config import LineEntry, RosterError, line_timing
+from lecombus.client import Line, ProblemError, finding
+from lecombus.config import LineEntry, RosterError
 from lecombus.config.building import STATE_DIR
-from lecombus.drives import family
-from lecombus.fieldbus.lecom.protocol.addressing import Form, is_drive_address
+from lecombus.fieldbus.lecom.protocol.addressing import is_drive_address
 from lecombus.fieldbus.lecom.protocol.controls import BAUDS
 from lecombus.fieldbus.lecom.scanning import (
     FoundDrive,
@@ -43,19 +41,22 @@ from lecombus.fieldbus.lecom.scanning import (
     propose,
     why_nothing,
 )
-from lecombus.fieldbus.lecom.telegram_costs import read_cost
 from lecombus.line.devices import END_IT, others_at, shared
 from lecombus.line.event_loop import run
 from lecombus.operations.address_reads import read_address
-from lecombus.parameters import Code
+from lecombus.parameters import Value
 from lecombus.schedule import Priority
+from lecombus.supervision.line_remarks import SECOND_ANSWERS_REMARK
 
 __all__ = ["scan_command"]
 
 Watch = Callable[[], None]
 
-MEASURED = 5
-"""From this number of addresses on, the measured time of an address replaces the computed one."""
+REOPENED_WITHIN_S = 10.0
+"""A daemon opens its port again where no drive answers for a time; a scan waits so long for it."""
+
+LOOK_EVERY_S = 0.2
+"""How often it looks meanwhile whether the port is open."""
 
 ALL_BAUDS = (9600, 19200, 4800, 2400, 1200)
 """The rate ex works first, then the most usual one."""
@@ -200,12 +201,15 @@ def _on_own_port(options: ScanOptions, line: LineEntry) -> int:
         wrong = (Problem(one.what, one.right) for one in exc.mistakes)
         raise CommandError.of(Exit.USAGE, *wrong) from exc
     scan = Scan(ScanPlan(options.addresses, options.bauds, options.thorough))
-    with _scan_bar() as bar:
-        watch = _ScanProgress(scan, _look_s(line, options.bauds[0]), bar).watch
-        bytes_heard = run(scan_own_port, scan, line, watch)
+    second = SecondAnswers()
+    with scan_bar() as bar:
+        watch = ScanProgress(scan, look_s(line, options.bauds[0]), bar).watch
+        bytes_heard = run(scan_own_port, scan, line, watch, second)
     others = others_at(line.port)
     if others and scan.found:
         click.echo(f"{shared(line.port, others)}: {END_IT}, and scan again", err=True)
+    elif twice := _remark_twins(scan, second):
+        click.echo(twice, err=True)
     if not scan.found:
         if others:
             what = f"no drive answers: {shared(line.port, others)}"
@@ -223,15 +227,17 @@ def _on_own_port(options: ScanOptions, line: LineEntry) -> int:
 
 
 def _through_daemon(options: ScanOptions, where: DaemonOptions) -> int:
-    scan, here, silence = work(where, lambda line: _scan_of(options, line))
+    scan, here, remarks = work(where, lambda line: _scan_of(options, line))
     baud = here.baud
+    if twice := remarks.get(SECOND_ANSWERS_REMARK):
+        click.echo(twice, err=True)
     if not scan.found:
         what = f"no drive answers at an address that the roster does not have, at {baud} baud"
         if scan.unclear:
             what, _ = why_nothing(
                 scan.samples, scan.unclear, echo=None, parity="line", bauds=(baud,)
             )
-        what = "; ".join(filter(None, (what, silence)))
+        what = "; ".join(filter(None, (what, remarks.get("silence"))))
         raise CommandError(Exit.FAILED, what, "", "no-drive")
     added = "\n".join(
         ["# To be added under `drives:` of the roster:", *entries(scan.found, {}), ""]
@@ -240,72 +246,21 @@ def _through_daemon(options: ScanOptions, where: DaemonOptions) -> int:
     return Exit.DONE
 
 
-async def _scan_of(options: ScanOptions, line: Line) -> tuple[Scan, LineEntry, str | None]:
-    """Scan through the daemon; returns its line too, and what it says of the silence there."""
+async def _scan_of(options: ScanOptions, line: Line) -> tuple[Scan, LineEntry, dict[str, str]]:
+    """Scan through the daemon; returns its line too, and the remarks on that."""
     here = await _line_of(line)
     known = {int(one["address"]) for one in (await line.ask("/v1/drives")).data["drives"]}
     addresses = tuple(one for one in options.addresses if one not in known)
     if not addresses:
         raise CommandError(Exit.USAGE, "the roster has all of these addresses", "name others")
     scan = Scan(ScanPlan(addresses, (here.baud,), options.thorough, listen_s=0.0))
-    with _scan_bar() as bar:
-        watch = _ScanProgress(scan, _look_s(here, here.baud), bar).watch
+    with scan_bar() as bar:
+        watch = ScanProgress(scan, look_s(here, here.baud), bar).watch
         try:
-            await scan.run(ByDaemon(line, watch))
+            await scan.run(_ByDaemon(line, watch))
         finally:
             watch()
-    return scan, here, (await line.ask("/v1/line")).data.get("remarks", {}).get("silence")
-
-
-def _scan_bar() -> AbstractContextManager[Bar]:
-    """Show a bar on a terminal; a pipe gets nothing on standard error."""
-    return progress("listening", quiet=not sys.stderr.isatty(), counts=False)
-
-
-class _ScanProgress:
-    """Shows how far a scan is, how long it may take, and each drive when it is found.
-
-    Args:
-        scan: The scan.
-        look_s: Computed time of an address without a drive, seconds.
-        bar: Where it is shown.
-    """
-
-    def __init__(self, scan: Scan, look_s: float, bar: Bar) -> None:
-        self._scan = scan
-        self._look_s = look_s
-        self._bar = bar
-        self._shown = 0
-        self._looks, self._spent_s, self._looked = 0, 0.0, 0
-        self._watched_s = time.monotonic()
-
-    def watch(self) -> None:
-        """Show the state of the scan."""
-        scan, now_s = self._scan, time.monotonic()
-        if scan.looks > self._looks:
-            self._looks, self._looked = scan.looks, self._looked + 1
-            self._spent_s += now_s - self._watched_s
-        self._watched_s = now_s
-        for one in scan.found[self._shown :]:
-            self._bar.say(_found_line(one))
-        self._shown = len(scan.found)
-        title = f"address {scan.address} at {scan.baud} baud, {self._found()}, {self._left()}"
-        self._bar.advance(scan.looks, scan.looks + scan.looks_left, title)
-
-    def _found(self) -> str:
-        count = len(self._scan.found)
-        return "1 drive found" if count == 1 else f"{count or 'no'} drives found"
-
-    def _left(self) -> str:
-        """Say how long it may still take, from the measured time of an address."""
-        per_look_s = self._look_s if self._looked < MEASURED else self._spent_s / self._looked
-        return f"about {self._scan.looks_left * per_look_s:.0f} s left"
-
-
-def _found_line(one: FoundDrive) -> str:
-    sure = "" if one.certain or one.family == "generic" else " (probably)"
-    labels = f" ({', '.join(text for _, text in one.labels)})" if one.labels else ""
-    return f"{one.address} at {one.baud} baud: {one.family}{sure}{labels}"
+    return scan, here, (await line.ask("/v1/line")).data.get("remarks", {})
 
 
 async def _line_of(daemon: Line) -> LineEntry:
@@ -315,13 +270,6 @@ async def _line_of(daemon: Line) -> LineEntry:
         problem = f"the daemon at {daemon.where} does not know scans"
         raise CommandError(Exit.UNREACHABLE, problem, "update it, or scan with --port")
     return LineEntry(name="line", port=str(line["port"]), baud=int(line["baud"]))
-
-
-def _look_s(line: LineEntry, baud: int) -> float:
-    """Return how long an address takes at which nothing answers, seconds."""
-    timing = line_timing(line.model_copy(update={"baud": baud}))
-    cost = read_cost(timing, family("generic"), Code(46), Form.STANDARD)
-    return cost.first_byte_s + timing.quarantine_s + timing.turnaround_s
 
 
 def _commonest(found: list[FoundDrive]) -> int:
@@ -424,13 +372,26 @@ def _as_json(one: FoundDrive) -> dict[str, Any]:
     }
 
 
-async def scan_own_port(scan: Scan, line: LineEntry, watch: Watch) -> int:
+def _remark_twins(scan: Scan, second: SecondAnswers) -> str:
+    """Remark drives that share an address; returns what is said where that is not clear."""
+    texts = second.twins()
+    scan.found[:] = [
+        replace(one, remarks=(*one.remarks, text))
+        if (text := texts.get((one.address, one.baud)))
+        else one
+        for one in scan.found
+    ]
+    return "" if texts else second.doubt()
+
+
+async def scan_own_port(scan: Scan, line: LineEntry, watch: Watch, second: SecondAnswers) -> int:
     """Scan on a port opened by the command, reopened for every baud rate.
 
     Args:
         scan: The search.
         line: Port, parity and direction; its baud rate is not used.
         watch: Called before every question and at the end.
+        second: Gets the second answers.
 
     Returns:
         How many bytes were received, echoes included.
@@ -440,7 +401,10 @@ async def scan_own_port(scan: Scan, line: LineEntry, watch: Watch) -> int:
     """
     async with own_port(line, retries=0) as port:
         try:
-            await scan.run(_OnOwnPort(port, watch))
+            await scan.run(_OnOwnPort(port, watch, second))
+            if second.most:  # that of the last answer may be under way
+                await anyio.sleep(SECOND_WITHIN_S)
+                second.look(await port.at(scan.baud), scan.baud)
         finally:
             watch()
         return port.bytes_heard
@@ -452,6 +416,7 @@ class _OnOwnPort:
 
     port: OwnPort
     watch: Watch
+    second: SecondAnswers
 
     async def ask(self, ask: Question) -> Heard:
         """Read a code at an address, once."""
@@ -467,6 +432,8 @@ class _OnOwnPort:
             priority=Priority.INTERACTIVE,
             disturbances=lambda: own.disturbances,
         )
+        self.second.answers[ask.address, ask.baud] += heard.is_answer
+        self.second.look(own, ask.baud)
         return replace(heard, received=own.take_strays() + heard.received)
 
     async def listen(self, baud: int, for_s: float) -> Heard:
@@ -474,3 +441,50 @@ class _OnOwnPort:
         own = await self.port.at(baud)
         await anyio.sleep(for_s)
         return Heard(HeardKind.SILENCE, received=own.take_strays(), disturbances=own.disturbances)
+
+
+@dataclass(frozen=True, slots=True)
+class _ByDaemon:
+    """`AddressAccess` through a running daemon."""
+
+    line: Line
+    watch: Callable[[], None]
+
+    async def ask(self, ask: Question) -> Heard:
+        """Read a code at an address, once."""
+        self.watch()
+        try:
+            answer = await self._answer(ask)
+        except ProblemError as exc:
+            if exc.kind != "line-lost" or not await self._is_open_again():
+                raise
+            answer = await self._answer(ask)
+        raw = answer.get("raw")
+        return Heard(
+            HeardKind(answer["heard"]),
+            None if raw is None else Value.parse(str(raw)),
+            bytes.fromhex(answer.get("received") or ""),
+            int(answer.get("disturbances") or 0),
+        )
+
+    async def _answer(self, ask: Question) -> dict[str, Any]:
+        path = f"/v1/line/addresses/{ask.address}/codes/{ask.code}"
+        said = await self.line.ask(
+            path, addressing=ask.form.value, family=ask.family,
+            patient="true" if ask.patient else "false",
+        )  # fmt: skip
+        answer: dict[str, Any] = said.data
+        return answer
+
+    async def _is_open_again(self) -> bool:
+        """Wait for a port that the daemon opens again; its requests block, so this does too."""
+        until_s = time.monotonic() + REOPENED_WITHIN_S
+        while (await self.line.ask("/v1/line")).data.get("state") != "open":
+            if time.monotonic() > until_s:
+                return False
+            time.sleep(LOOK_EVERY_S)  # noqa: ASYNC251 - its requests block too
+        return True
+
+    async def listen(self, baud: int, for_s: float) -> Heard:
+        """A daemon has listened to its line already."""
+        return Heard(HeardKind.SILENCE)
