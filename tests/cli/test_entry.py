@@ -301,6 +301,35 @@ def test_check_warns_of_a_journal_that_cannot_be(
     assert [said in one for one in found] == [True] * bool(said)
 
 
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        ("a.sock", ""),
+        ("gone/a.sock", "there is no directory"),
+        ("file/a.sock", "file is no directory"),
+        ("file", "something else has its place"),
+        ("/run/lecombus/hall-3.sock", ""),
+        ("a.sock, socket_group: nosuchgroup", "there is no group nosuchgroup"),
+    ],
+)
+def test_check_warns_of_a_socket_with_which_run_would_not_start(
+    run: Run, roster: Path, place: str, said: str
+) -> None:
+    (roster.parent / "file").write_text("")
+    found = warned(run, roster, f"api: {{socket: {roster.parent / place}}}")
+    assert [said in one and "does not start" in one for one in found] == [True] * bool(said)
+
+
+@pytest.mark.parametrize(
+    ("place", "said"), [("s.json", ""), ("gone/s.json", "there is no directory")]
+)
+def test_check_warns_of_a_state_file_that_cannot_be(
+    run: Run, roster: Path, place: str, said: str
+) -> None:
+    found = warned(run, roster, f"state: {roster.parent / place}")
+    assert [said in one and "nothing is kept" in one for one in found] == [True] * bool(said)
+
+
 def command_line(*words: str) -> list[str]:
     return [sys.executable, "-m", "lecombus", *words]
 

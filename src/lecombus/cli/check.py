@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import grp
 import json
 import os
 import stat
@@ -15,12 +16,13 @@ import click
 from lecombus.cli.arguments import json_option, roster_option
 from lecombus.cli.exits import Exit
 from lecombus.cli.screen import on_terminal, show_rows
+from lecombus.client.finding import RUNTIME_DIR
 from lecombus.config import RosterError, load_roster
 from lecombus.config.building import STATE_DIR
 from lecombus.config.describing import DescribedDrive, DescribedGroup, Description, describe
 from lecombus.errors import OperationError
 from lecombus.fieldbus.protocols import find
-from lecombus.roster import Roster, TlsEntry
+from lecombus.roster import ApiEntry, Roster, TlsEntry
 from lecombus.tokens.token_file import read_tokens
 
 __all__ = ["check_command", "gathered", "pipe_rows"]
@@ -76,7 +78,10 @@ def file_warnings(roster: Roster) -> Iterator[str]:
     They are no mistakes: the roster may be for another machine, and what this user may not read
     the daemon's may.
     """
-    api, journal = roster.api, roster.journal
+    api, journal, state = roster.api, roster.journal, roster.state
+    with contextlib.suppress(PermissionError):
+        if text := socket_mistake(api):
+            yield f"api.socket {api.socket}: {text}; `lecombus run` does not start with it"
     with contextlib.suppress(PermissionError):
         if api.tls is not None and (text := tls_mistake(api.tls)):
             yield f"api.tls: {text}; `lecombus run` does not start with it"
@@ -84,8 +89,29 @@ def file_warnings(roster: Roster) -> Iterator[str]:
         if api.tokens is not None and (text := tokens_mistake(Path(api.tokens))):
             yield f"api.tokens {text}; until then TCP has no valid token"
     with contextlib.suppress(PermissionError):
-        if journal is not None and (text := journal_mistake(Path(journal.file))):
+        if journal is not None and (text := kept_mistake(Path(journal.file))):
             yield f"journal {journal.file}: {text}, so that it cannot be written"
+    with contextlib.suppress(PermissionError):
+        if state is not None and (text := kept_mistake(Path(state))):
+            yield f"state {state}: {text}, so that nothing is kept"
+
+
+def socket_mistake(api: ApiEntry) -> str:
+    """Say why there can be no socket; empty: nothing that can be seen here."""
+    path = Path(api.socket)
+    found, folder = stat_of(path), stat_of(path.parent)
+    if found is not None and not stat.S_ISSOCK(found.st_mode):
+        return "something else has its place"
+    if folder is None and path.parent != RUNTIME_DIR:  # that one is made when the service starts
+        return f"there is no directory {path.parent}"
+    if folder is not None and not stat.S_ISDIR(folder.st_mode):
+        return f"{path.parent} is no directory"
+    if api.socket_group is not None:
+        try:
+            grp.getgrnam(api.socket_group)
+        except KeyError:
+            return f"there is no group {api.socket_group} (api.socket_group)"
+    return ""
 
 
 def tls_mistake(entry: TlsEntry) -> str:
@@ -110,8 +136,8 @@ def tokens_mistake(path: Path) -> str:
     return ""
 
 
-def journal_mistake(path: Path) -> str:
-    """Say why there can be no journal; empty: nothing that can be seen here."""
+def kept_mistake(path: Path) -> str:
+    """Say why there can be no such file; empty: nothing that can be seen here."""
     found, folder = stat_of(path), stat_of(path.parent)
     if found is not None and not stat.S_ISREG(found.st_mode):
         return "this is a directory" if stat.S_ISDIR(found.st_mode) else "this is no regular file"
