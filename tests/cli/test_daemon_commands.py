@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import time
 
 import pytest
 
 from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
 from lecombus.api.answers import REMEDIES
-from lecombus.cli import status
+from lecombus.cli import status, verb_commands
+from lecombus.cli.daemon_access import act
 from lecombus.cli.screen import mark
+from lecombus.client.documents import Answer
 from support.golden import Golden
 
 pytestmark = pytest.mark.clock
@@ -311,6 +314,30 @@ def test_a_single_drive_is_told_as_one(run: Run, daemon: DaemonStub, golden: Gol
 def test_a_confirmed_stop_raises_no_alarm(run: Run, daemon: DaemonStub) -> None:
     answer_stop(daemon, stopped("feeder", "verified", "it reads so"))
     assert run("stop", "feeder").err == ""
+
+
+@pytest.mark.parametrize("words", [("stop",), ("inhibit", "feeder"), ("stop", "--json")])
+def test_a_stop_that_is_not_answered_soon_says_so_while_it_waits(
+    run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
+) -> None:
+    said_s: list[float] = []
+
+    def slow(*asked: object) -> Answer:
+        time.sleep(0.5)
+        said_s.append(time.monotonic())
+        return act(*asked)  # type: ignore[arg-type]
+
+    def said(text: str) -> None:
+        said_s.append(time.monotonic())
+        assert text.endswith("is not confirmed after 0 s: motors may still turn")
+
+    answer_stop(daemon, stopped("feeder", "verified", "it reads so"))
+    monkeypatch.setattr(verb_commands, "WAITED_S", 0.05)
+    monkeypatch.setattr(verb_commands, "alarm", said)
+    monkeypatch.setattr(verb_commands, "act", slow)
+    assert run(*words).out
+    assert len(said_s) == (1 if "--json" in words else 2)
+    assert said_s == sorted(said_s)
 
 
 def test_on_a_terminal_the_alarm_is_red_and_alike_reasons_stand_once(

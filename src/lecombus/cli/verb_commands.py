@@ -7,7 +7,10 @@ confirm it, that motors may still turn, and what to use then.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from threading import Timer
+from typing import Final
 
 import click
 
@@ -36,6 +39,9 @@ __all__ = [
     "stop_command",
 ]
 
+WAITED_S: Final = 3.0
+"""A stop that takes longer is not kept from the person who waits: its daemon may hang."""
+
 _SPEED = re.compile(r"\0?([+-]?[0-9.,]+(?:[eE][+-]?[0-9]+)?)\s*(.*)", re.DOTALL)
 """A number, right or not, and a unit; before a negative one stands what hides it from click."""
 
@@ -60,7 +66,8 @@ def _send_stop(target: str, action: str, daemon: DaemonOptions) -> Exit:
             raise CommandError(
                 Exit.USAGE, "TARGET is empty: nothing was stopped", "name a drive, a group or all"
             )
-        answer = act(daemon, "POST", "/v1/stop", {"action": action, "target": target})
+        with _said_while_waiting(action, quiet=daemon.as_json):
+            answer = act(daemon, "POST", "/v1/stop", {"action": action, "target": target})
     except (CommandError, KeyboardInterrupt):
         if not daemon.as_json:
             who = f"{target} has not" if target.strip() and target != "all" else "no drive has"
@@ -68,6 +75,25 @@ def _send_stop(target: str, action: str, daemon: DaemonOptions) -> Exit:
         raise
     show(answer, lambda report: _show_stop(report, action), as_json=daemon.as_json)
     return status_of(answer.data)
+
+
+@contextmanager
+def _said_while_waiting(action: str, *, quiet: bool) -> Iterator[None]:
+    """Say when a stop is not answered soon; drives that are silent take long, and so does a hang.
+
+    Args:
+        action: How is stopped.
+        quiet: Say nothing, as for JSON.
+    """
+    text = f"the {spoken(action)} is not confirmed after {WAITED_S:.0f} s: motors may still turn"
+    timer = Timer(WAITED_S, alarm, [text])
+    timer.daemon = True
+    if not quiet:
+        timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def _show_stop(report: Document, action: str) -> None:
@@ -214,8 +240,9 @@ def stop_command(
 
     Exit status 0 only if every drive is known to have taken the stop. If not, the first line, on
     standard error, says how many drives did not confirm it, that motors may still turn, and to use
-    the emergency stop circuit. In a pipe: one line a drive with drive, code, outcome, value read
-    back, reason. With --json: the daemon's document, as for group.
+    the emergency stop circuit. The same is said as soon as it has waited for 3 s. In a pipe: one
+    line a drive with drive, code, outcome, value read back, reason. With --json: the daemon's
+    document, as for group.
     """
     if target is not None and everything:
         raise CommandError(Exit.USAGE, "a target and --all are both given", "leave one of them out")
