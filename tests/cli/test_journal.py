@@ -23,7 +23,7 @@ HEAD = "5:" + "ab" * 32
 
 def row(number: int, what: str, outcome: str | None = None, **more: Any) -> dict[str, Any]:
     fixed = {
-        "number": number, "time": f"2026-11-23T03:07:{number:02}.250Z", "what": what,
+        "number": number, "time": f"2026-11-23T03:07:{number % 60:02}.250Z", "what": what,
         "drive": None, "asked": None, "outcome": outcome, "ended": False, "fields": {},
         "hash": "ab" * 32,
     }  # fmt: skip
@@ -143,6 +143,26 @@ def test_csv_has_the_fields_in_columns_and_no_formula(run: Run, daemon: DaemonSt
     assert [one["number"] for one in read] == ["1", "3", "4", "5"]
     assert (read[1]["value"], read[1]["old"], read[1]["reason"]) == ("'=20", "10", "it says so")
     assert read[3]["more"] == 'fault="trip OH (50)"'
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_rows_of_a_drive_are_found_however_many_of_others_came_since(
+    run: Run, daemon: DaemonStub, as_json: bool
+) -> None:
+    of, head = "&drive=feeder", "45000:" + "0" * 64
+    limit = 2 if as_json else 4
+    daemon.answers[f"GET /v1/journal?last=true&limit={limit}{of}"] = page([], head=head)
+    daemon.answers["GET /v1/journal?after=0&limit=1"] = page([row(4001, "cut")], 4001, head)
+    daemon.answers[f"GET /v1/journal?after=5499&limit=500{of}"] = page(
+        [row(7000, "trip", drive="feeder")], 25499, head
+    )
+    daemon.answers[f"GET /v1/journal?after=4000&limit=500{of}"] = page(
+        [row(4500, "trip", drive="feeder"), row(7000, "trip", drive="feeder")], 24000, head
+    )
+    ran = run("journal", "--last", "2", "--drive", "feeder", *(["--json"] if as_json else []))
+    assert (ran.status, ran.err, len(ran.out.splitlines())) == (0, "", 2)
+    if as_json:
+        assert [json.loads(line)["number"] for line in ran.out.splitlines()] == [4500, 7000]
 
 
 def test_since_goes_through_all_pages(run: Run, daemon: DaemonStub) -> None:

@@ -148,22 +148,41 @@ def _rows(
 def _newest(daemon: DaemonOptions, last: int, of: Mapping[str, str]) -> Document:
     """Return a page of the newest rows: as many as are wanted, and are shown.
 
-    Of an operation one of two rows is shown at least, so twice as many are always enough; those
-    that one page has no room for are looked for among the newest `LOOK_ROWS`.
+    Of an operation one of two rows is shown at least, so twice as many are always enough. The
+    daemon looks at `LOOK_ROWS` at a time: those of a drive may stand far before these.
     """
     limit = last if daemon.as_json else min(PAGE, 2 * last)
     page: Document = ask(daemon, "/v1/journal", last="true", limit=str(limit), **of).data
-    if daemon.as_json:
-        return page
-    rows = page["rows"]
-    first = rows[0]["number"] if len(rows) == PAGE else 0
-    least = max(0, first - LOOK_ROWS)
-    while len(shown := list(_ends(rows))) < last and first > least + 1:
-        behind = max(least, first - 1 - PAGE)
-        found = ask(daemon, "/v1/journal", after=str(behind), limit=str(PAGE), **of).data["rows"]
-        rows = [*(row for row in found if row["number"] < first), *rows]
+    rows, least = list(page["rows"]), 0
+    if len(rows) >= limit:
+        if daemon.as_json:
+            return page
+        first = int(rows[0]["number"])
+    elif of:  # rows that came while it looked may have moved where it began
+        first = max(1, int(str(page["head"]).partition(":")[0]) - LOOK_ROWS + PAGE)
+    else:
+        first = 1
+    if first > 1 and of:
+        oldest = ask(daemon, "/v1/journal", after="0", limit="1").data["rows"]
+        least = int(oldest[0]["number"]) - 1 if oldest else 0
+    while len(shown := rows if daemon.as_json else list(_ends(rows))) < last and first > least + 1:
+        behind = max(least, first - 1 - (LOOK_ROWS if of else PAGE))
+        before = min(first, rows[0]["number"]) if rows else first
+        rows = [*_between(daemon, behind, before, of), *rows]
         first = behind + 1
     return {**page, "rows": shown[-last:]}
+
+
+def _between(
+    daemon: DaemonOptions, behind: int, before: int, of: Mapping[str, str]
+) -> Iterator[Document]:
+    """Yield the rows behind one and before another."""
+    while behind < before - 1:
+        page = ask(daemon, "/v1/journal", after=str(behind), limit=str(PAGE), **of).data
+        yield from (row for row in page["rows"] if row["number"] < before)
+        if page["next"] is None:
+            return
+        behind = int(page["next"])
 
 
 def _ends(rows: Iterable[Document]) -> Iterator[Document]:
