@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from config.rosters import GOOD, drive_with, line_with, only, parsed, roster_with, said
+from lecombus.line.opening import url_mistake
 from support.golden import Golden
 from support.rosters import roster_text
 
@@ -373,6 +374,21 @@ def test_missing_keys_are_asked_for_with_what_to_give(golden: Golden) -> None:
     found = said("lease: {}\n")
     assert [words.split(": ")[0] for words in found] == ["1:1", "1:1"]
     golden(*found)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("port", "wrong"),
+    [
+        ("sim:x", "has something behind `sim:`"),
+        ("sim://", "has something behind `sim:`"),
+        ("socket://h:4001/", "is not a host with a port"),
+        ("socket://h:4001?logging=debug", "is not a host with a port"),
+        ("socket://[1]:4001", "is not a host with a port"),
+    ],
+)
+def test_a_port_that_run_could_never_open_is_refused(port: str, wrong: str) -> None:
+    assert url_mistake(port) is not None
+    assert wrong in only(GOOD.replace("/dev/serial/by-id/usb-1", f"'{port}'"))
 
 
 @pytest.mark.parametrize("drives", ["[]", "{}", "", "feeder"])

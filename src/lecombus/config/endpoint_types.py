@@ -53,7 +53,7 @@ class PortType(ScalarType):
     """The port of a line: a device, a device server, or the simulator."""
 
     def __init__(self) -> None:
-        pattern = r"^(/.*[^/]|socket://.+:[0-9]+.*|sim(:.*)?)$"
+        pattern = r"^(/.*[^/]|socket://[^/?]+:[0-9]{1,5}|sim:?)$"
         super().__init__(_PORT_FORMS, {"type": "string", "pattern": pattern})
 
     def _convert(self, text: str) -> str:
@@ -61,11 +61,13 @@ class PortType(ScalarType):
             raise WrongText("is no port", f"give {_PORT_FORMS}")
         if text.startswith("/"):
             return self._device(text)
-        if text == "sim":
+        if text in ("sim", "sim:"):
             return "sim:"  # YAML wants quotes around a value that ends in a colon
         scheme, colon, rest = text.partition(":")
+        if colon and scheme == "sim":
+            raise WrongText("has something behind `sim:`", 'write "sim:": it simulates the drives')
         if colon and scheme in _SCHEMES:
-            return text if scheme == "sim" else self._network(text, scheme, rest)
+            return self._network(text, scheme, rest)
         if colon and scheme.lower() == "rfc2217":
             raise self._remote_control(rest)
         if colon:
@@ -88,8 +90,10 @@ class PortType(ScalarType):
         if not rest.startswith("//"):
             raise WrongText("has no host", right)
         try:
-            _, number = _split_host_port(rest[2:].split("?")[0].rstrip("/"))
-        except WrongText as exc:
+            host, number = _split_host_port(rest[2:])
+            if rest.startswith("//["):
+                ipaddress.IPv6Address(host)
+        except (WrongText, ipaddress.AddressValueError) as exc:
             raise WrongText("is not a host with a port", right) from exc
         if number == 0:
             raise WrongText("has the port number 0", right)
