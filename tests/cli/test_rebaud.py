@@ -322,13 +322,14 @@ def test_a_signal_at_the_question_behind_a_split_line_still_shows_where_the_driv
 def test_the_report_reaches_a_file_when_the_terminal_is_gone(
     roster: Path, line: RebaudLine, monkeypatch: pytest.MonkeyPatch, capfd: Any
 ) -> None:
+    master, slave = pty.openpty()
+
     def before(step: Step) -> None:
         nonlocal master
         if isinstance(step, Write) and master >= 0:
             os.close(master)
             master = -1
 
-    master, slave = pty.openpty()
     line.before = before
     kept = os.dup(2)
     os.dup2(slave, 2)
