@@ -39,9 +39,10 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from lecombus.schedule.polling import Polling, PollingEntry
+from lecombus.schedule.queues import QueuedDrive
 from lecombus.schedule.request import DispatchReason, Priority, Request
 from lecombus.schedule.shares import CLASS_SHARES, Probe, Probes, Shares
-from lecombus.schedule.waiting import QueuedDrive, Waiting, has_expired
+from lecombus.schedule.waiting import Waiting, has_expired
 from lecombus.schedule.watchdog_deadline import WatchdogDeadline
 from lecombus.schedule.watchdog_set import WatchdogSet
 

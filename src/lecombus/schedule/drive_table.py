@@ -18,9 +18,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 
 from lecombus.schedule.polling import Cyclic, Polling, PollingEntry
+from lecombus.schedule.queues import QueuedDrive
 from lecombus.schedule.request import Outcome, Priority, Request
 from lecombus.schedule.shares import Probe, Probes
-from lecombus.schedule.waiting import QueuedDrive, Waiting
+from lecombus.schedule.waiting import Waiting
 from lecombus.schedule.watchdog_deadline import FaultHypothesis, WatchdogDeadline, WatchdogFeeding
 from lecombus.schedule.watchdog_set import WatchdogSet
 

@@ -22,9 +22,10 @@ from collections import deque
 from heapq import heapify, heappop, heappush, heapreplace
 from typing import Any, Final, Protocol
 
-from lecombus.schedule.request import Request
+from lecombus.schedule.polling import PollingEntry
+from lecombus.schedule.request import Priority, Request
 
-__all__ = ["ClassQueue", "Expiries", "Holder", "Lane"]
+__all__ = ["ClassQueue", "Expiries", "Holder", "Lane", "QueuedDrive"]
 
 # Empty cells a lane may have beyond its full ones before it is tidied: tidying costs O(lane), so
 # it happens at most once in as many removals.
@@ -158,6 +159,40 @@ def _front(lane: Lane) -> Request | None:
         cells.popleft()
         lane.empty -= 1
     return None
+
+
+class QueuedDrive:
+    """What a schedule keeps for one drive."""
+
+    __slots__ = (
+        "entries",
+        "held",
+        "held_until_s",
+        "kept",
+        "kept_until_s",
+        "lanes",
+        "multicast_at",
+        "multicasts",
+        "name",
+        "parked",
+        "stopped_at",
+        "writes",
+    )  # fmt: skip
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.held = False
+        self.held_until_s = 0.0
+        self.lanes: list[tuple[ClassQueue, Lane]] = []  # kept from their queues while held
+        self.entries: list[PollingEntry] = []  # kept from the cadence while held
+        # Classes that waited for the end of the last hold, each since the end of its first ..
+        self.kept: dict[Priority, float] = {}
+        self.kept_until_s = 0.0  # .. and until when that counts
+        self.writes: set[Request] = set()  # waiting writes that reach it
+        self.multicasts: set[Request] = set()  # those of them that reach other drives too
+        self.multicast_at = 0  # serial of the last multicast that reaches it
+        self.parked: str | None = None  # why it is offline
+        self.stopped_at = 0  # serial of the last stop
 
 
 class Expiries:

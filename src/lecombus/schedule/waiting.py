@@ -23,7 +23,7 @@ from typing import Final
 
 from lecombus.errors import QueueFullError
 from lecombus.schedule.polling import PollingEntry
-from lecombus.schedule.queues import ClassQueue, Expiries, Lane
+from lecombus.schedule.queues import ClassQueue, Expiries, QueuedDrive
 from lecombus.schedule.request import (
     DEFERRED,
     OUT,
@@ -38,7 +38,7 @@ from lecombus.schedule.request import (
 )
 from lecombus.schedule.shares import CLASS_SHARES, Probe
 
-__all__ = ["DEFAULT_LIMITS", "QueuedDrive", "Waiting"]
+__all__ = ["DEFAULT_LIMITS", "Waiting", "has_expired"]
 
 DEFAULT_LIMITS: Final[Mapping[Priority, int]] = {
     Priority.CONTROL: 1000,
@@ -55,40 +55,6 @@ _FIRST_AHEAD: Final = -(1 << 62)  # places of requests that go ahead of their cl
 _LAST: Final = 1 << 63  # added to the places of stops of silent drives: behind all others
 
 _TOO_LATE: Final = "it was too late to begin"
-
-
-class QueuedDrive:
-    """What a schedule keeps for one drive."""
-
-    __slots__ = (
-        "entries",
-        "held",
-        "held_until_s",
-        "kept",
-        "kept_until_s",
-        "lanes",
-        "multicast_at",
-        "multicasts",
-        "name",
-        "parked",
-        "stopped_at",
-        "writes",
-    )  # fmt: skip
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self.held = False
-        self.held_until_s = 0.0
-        self.lanes: list[tuple[ClassQueue, Lane]] = []  # kept from their queues while held
-        self.entries: list[PollingEntry] = []  # kept from the cadence while held
-        # Classes that waited for the end of the last hold, each since the end of its first ..
-        self.kept: dict[Priority, float] = {}
-        self.kept_until_s = 0.0  # .. and until when that counts
-        self.writes: set[Request] = set()  # waiting writes that reach it
-        self.multicasts: set[Request] = set()  # those of them that reach other drives too
-        self.multicast_at = 0  # serial of the last multicast that reaches it
-        self.parked: str | None = None  # why it is offline
-        self.stopped_at = 0  # serial of the last stop
 
 
 Timed = Request | QueuedDrive | PollingEntry

@@ -142,14 +142,12 @@ class StopJob(StopWork):
         self._since_s: float | None = None
         self._ended_s = -math.inf  # its last exchange
         self._checking, self._least_sayings = said, LEAST_STOP_ATTEMPTS - said
-        self._repeats = repeats
-        self._learning = False
+        self._repeats, self._learning = repeats, False
         self._read_word: int | None = None  # read for the telegram that comes next
         self._read_inhibit: bool | None = None  # likewise
-        self._unheard = 0  # sayings in a row without an acknowledgement
-        self._failed_reads = 0  # in a row
-        self._naks = 0  # in a row
-        self._unshown = 0  # proofs in a row that did not show the stop
+        # In a row: sayings without an acknowledgement, reads that failed, refusals, and proofs that
+        # did not show the stop.
+        self._unheard = self._failed_reads = self._naks = self._unshown = 0
         self._why = ""  # a quick stop became an inhibit, or was made from the last known word
         self._unread_word: int | None = None  # what it is made from where nothing can be read
         self._turned = False  # it is being sent in the other addressing form
