@@ -508,11 +508,13 @@ def test_another_drive_of_the_same_name_has_no_last_enable() -> None:
 
 
 @pytest.mark.parametrize(("drive", "unseen"), [("vector", True), ("servo", True), ("belt", False)])
-def test_a_quick_stop_of_the_watchdog_that_no_word_shows_is_a_hint_until_an_enable(
+def test_a_quick_stop_of_the_watchdog_that_no_word_shows_is_the_answer_until_an_enable(
     drive: str, unseen: bool
 ) -> None:
     async def main(plant: Plant) -> None:
         await plant.online(within_s=60.0)
+        if drive == "vector":  # a setpoint of 0 would be the answer
+            plant.line[drive].model.preset(46, "20")
         assert (await enable(plant, drive)).outcome is Outcome.VERIFIED
         plant.end.unplug()
         await anyio.sleep(4.0)
@@ -526,8 +528,9 @@ def test_a_quick_stop_of_the_watchdog_that_no_word_shows_is_a_hint_until_an_enab
             why = await plant.site.operations.why(drive, fresh=True)
             (lapse,) = [one for one in why.findings if one.name == "watchdog-lapsed"]
             assert ("no status word of this family shows one" in lapse.text.en) is told
+            assert why.answer.en.startswith("its watchdog was fed too late") is told
             assert (await enable(plant, drive)).outcome is Outcome.VERIFIED
-            assert motion(drive).doing is Doing.ENABLED
+            assert motion(drive).doing in (Doing.ENABLED, Doing.RUNNING)
 
     chosen = [one for one in FAMILIES if one[0] == drive]
     watchdog = "{time: 2s, action: quick-stop, configure: true}"

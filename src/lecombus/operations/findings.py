@@ -354,7 +354,8 @@ def lapse_finding(lapses: int, *, unseen: bool) -> StandstillFinding:
     if unseen:
         text = Text(f"{text.en}; {UNSEEN_STOP.en}", f"{text.de}; {UNSEEN_STOP.de}")
     verb = Verb.ENABLE if unseen else None
-    return StandstillFinding("watchdog-lapsed", Weight.HINT, text, LAPSE_REMEDY, verb=verb)
+    weight = Weight.REASON if unseen else Weight.HINT
+    return StandstillFinding("watchdog-lapsed", weight, text, LAPSE_REMEDY, verb=verb)
 
 
 def fault_text(fault: ActiveFault) -> Text:
