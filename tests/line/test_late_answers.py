@@ -310,20 +310,16 @@ def test_answers_that_are_lost_as_tolerated_leave_standard_addressing_codes_to_f
 
 
 @pytest.mark.parametrize("damage", [0, 1], ids=["whole", "damaged"])
-@pytest.mark.parametrize("stops", [False, True], ids=["read", "stop"])
-def test_nothing_shortens_the_turnaround_behind_a_late_answer(damage: int, stops: bool) -> None:
+def test_the_turnaround_is_kept_behind_a_damaged_late_answer_too(damage: int) -> None:
     async def test(rig: Rig) -> None:
         rig.line.drive_faults[1] = Faults(lost=1.0)
         await rig.read("a", 150).done.wait()
         before = len(rig.sent)
-        if not stops:
-            rig.read("b", 150)
+        rig.read("b", 150)
         await anyio.sleep(0.09)
         late = answer(b"?0", b"H1234")
         rig.end.say(late[:-1] + bytes((late[-1] ^ damage,)))
         came_s = rig.now_s
-        if stops:
-            stop(rig, "b")
         await until(lambda: len(rig.sent) > before)
         assert rig.sent[before].at_s >= came_s + 0.1 - 1e-9
 

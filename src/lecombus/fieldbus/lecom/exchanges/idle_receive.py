@@ -97,11 +97,6 @@ class BusIdleTimer:
         """An exchange ended, with or without its answer."""
         self.free_at_s = ended_s + self.turnaround_s
 
-    def late_answer_ended(self, now_s: float) -> None:
-        """A late answer has ended, whole or damaged: no stop breaks the turnaround behind it."""
-        turned_s = min(now_s + self.turnaround_s, self._chatter_ends_s)
-        self.free_at_s = max(self.free_at_s, turned_s)
-
     def answer_missing(self, ended_s: float, quarantine_s: float) -> None:
         """It ended without its answer."""
         self._quarantine(ended_s, quarantine_s)
@@ -343,9 +338,8 @@ class IdleReceive:
             self._end(now_s)
             self._over()
         over = late and not self._late_answers.any(now_s)
-        if self._unsolicited.ends_answer:
+        if self._unsolicited.ends_answer:  # a stop does not wait for it: the plan promises that
             gap_s = max(gap_s, self._bus_idle.turnaround_s)
-            self._bus_idle.late_answer_ended(now_s)
         self._bus_idle.heard(now_s, gap_s, none_is_late=over)
         if self._unsolicited.is_endless:
             self._unsolicited.begin()
