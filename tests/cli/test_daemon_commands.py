@@ -546,3 +546,18 @@ def test_something_else_behind_the_socket_is_told_apart(run: Run, daemon: Daemon
     ran = run("status")
     assert ran.status == 3
     assert "is not lecombus" in ran.err
+
+
+def test_on_a_terminal_a_code_of_an_smvector_is_named_as_at_its_keypad(
+    run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reading = READING.replace("C0046", "C1411")
+    document = f'{{"drive": "fan", "address": 3, "family": "smvector", "values": [{reading}]}}'
+    daemon.answers["GET /v1/drives/fan"] = (200, document)
+    daemon.answers["GET /v1/drives/fan/codes/C1411?fresh=true"] = (200, reading)
+    assert run("status", "fan").out.startswith("C1411\t")
+    monkeypatch.setattr(status, "on_terminal", lambda: True)
+    monkeypatch.setattr("lecombus.cli.document_rows.on_terminal", lambda: True)
+    assert "P411" in run("status", "fan").out
+    assert " P411 (" in run("read", "fan", "p411").out
+    assert " C1411 (" in run("read", "fan", "C1411").out

@@ -6,6 +6,7 @@ A read goes through the daemon, or through a port that the command opens.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import click
 from click.core import ParameterSource
@@ -82,7 +83,8 @@ def read_command(
         drive, code = _drive_and_code(words)
         path = f"{drive_path(drive)}/codes/{code}"
         answer = ask(daemon, path) if stored else ask(daemon, path, fresh="true")
-    show(answer, show_reading, as_json=daemon.as_json)
+    spoken = words[-1].upper() if words[-1][:1] in ("p", "P") else ""  # as its keypad names it
+    show(answer, partial(show_reading, spoken=spoken), as_json=daemon.as_json)
     return Exit.FAILED if answer.data.get("quality") == "bad" else Exit.DONE
 
 

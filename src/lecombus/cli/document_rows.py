@@ -106,14 +106,19 @@ def quality_of(reading: Document) -> tuple[str, str]:
     return quality, reason
 
 
-def show_reading(reading: Document) -> None:
-    """Print one value; on a terminal as a sentence, in a pipe as cells."""
+def show_reading(reading: Document, *, spoken: str = "") -> None:
+    """Print one value; on a terminal as a sentence, in a pipe as cells.
+
+    Args:
+        reading: The value.
+        spoken: What its user calls the code, such as P411, for the sentence; empty: its number.
+    """
     code, (quality, reason) = code_of(reading), quality_of(reading)
     value, unit = shown_value(reading), table_text(reading.get("unit"))
     if on_terminal():
         name = f" ({reading['name']})" if reading.get("name") else ""
         shown = " ".join(part for part in (value or "no value", unit) if part)
-        line = f"{reading.get('drive', '')} {code}{name}: {shown}"
+        line = f"{reading.get('drive', '')} {spoken or code}{name}: {shown}"
         if quality not in ("good", "once"):
             line += f" [{quality}: {reason}]" if reason else f" [{quality}]"
         elif reading.get("age_s") is not None and float(reading["age_s"]) >= 1.0:

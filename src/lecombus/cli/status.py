@@ -14,6 +14,7 @@ from lecombus.cli.exits import Exit
 from lecombus.cli.screen import Styled, age, on_terminal, show_rows, table_text
 from lecombus.client.documents import Answer
 from lecombus.client.line import Line
+from lecombus.errors import LecombusError
 
 __all__ = ["status_command", "why_command"]
 
@@ -118,7 +119,7 @@ def _show_drive(drive: Document) -> None:
         _show_fault(drive.get("fault") or {})
     rows = [
         (
-            code_of(value),
+            _spoken(drive, code_of(value)),
             table_text(value.get("name")),
             shown_value(value),
             table_text(value.get("unit")),
@@ -130,6 +131,19 @@ def _show_drive(drive: Document) -> None:
         for quality, reason in [quality_of(value)]
     ]
     show_rows(("code", "name", "value", "unit", "quality", "age", "why"), rows)
+
+
+def _spoken(drive: Document, code: str) -> str:
+    """Return a code as the drive's keypad names it, where people read it."""
+    if not on_terminal():
+        return code
+    from lecombus.drives import family
+    from lecombus.parameters import Code
+
+    try:
+        return family(str(drive.get("family"))).spoken(Code.parse(code))
+    except LecombusError:  # of a daemon that knows more
+        return code
 
 
 def _show_motion(motion: Document) -> None:
