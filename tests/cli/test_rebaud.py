@@ -35,6 +35,14 @@ pytestmark = pytest.mark.clock
 DRIVES = [("feeder", 11, "8200vector"), ("belt", 12, "smvector")]
 
 
+@pytest.fixture(autouse=True)
+def _hang_up_is_not_ignored() -> Iterator[None]:
+    """As it is under nohup."""
+    old = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, old)
+
+
 @pytest.fixture
 def roster(short_dir: Path) -> Path:
     path = short_dir / "bench.yaml"
