@@ -153,29 +153,25 @@ def test_an_inhibit_without_acknowledgement_is_said_again_behind_a_later_quick_s
     with_plant(test, roster("93xx", DRIVE.replace("C0046, ", "") + ", addressing: standard"))
 
 
-@pytest.mark.parametrize(
-    ("older", "later", "then"),
-    [
-        ((135, "H0008"), (40, "0"), (135, "H0208")),
-        ((46, "30"), (46, "0"), (46, "0")),
-        ((40, "1"), (135, "H0008"), (135, "H0008")),
-    ],
-)
-def test_a_write_waits_for_an_earlier_multicast_that_waits_for_another_member(
-    older: tuple[int, str], later: tuple[int, str], then: tuple[int, str]
+@pytest.mark.parametrize("later", [(40, "0"), (135, "H0008")])
+def test_a_groups_quick_stop_that_waits_is_sent_behind_a_stop_of_some_of_its_members(
+    later: tuple[int, str],
 ) -> None:
-    """What was asked for last is said last."""
+    """It is the only stop of the others."""
+    drives = [("a", 11, "8200vector"), ("b", 12, "8200vector"), ("c", 21, "8200vector")]
+    groups = "groups:\n  two: {members: [a, b], multicast: yes}\n"
+    groups += "  every: {members: [a, b, c], multicast: yes}\n"
 
     async def test(plant: Plant) -> None:
         await plant.online()
         await anyio.sleep(5.0)
-        operations, now_s = plant.site.operations, plant.now_s
-        plant.site.schedule.hold("a", now_s + 0.05, now_s)  # as after a write
-        group = asyncio.create_task(operations.write_group("two", Code(older[0]), older[1]))
+        operations = plant.site.operations
+        assert (await operations.verb("c", Verb.ENABLE)).outcome is Outcome.VERIFIED
+        plant.site.schedule.hold("c", plant.now_s + 0.05, plant.now_s)  # as after a write
+        group = asyncio.create_task(operations.write_group("every", Code(135), "H0008"))
         await anyio.sleep(0.001)
-        report = await operations.write("b", Code(later[0]), later[1], verify=False)
-        assert report.outcome is Outcome.DONE
+        assert (await operations.write_group("two", Code(later[0]), later[1])) is not None
         await group
-        assert plant.line["b"].text(then[0]) == then[1]
+        assert plant.line["c"].text(135) == "H0008"
 
-    with_plant(test, roster("8200vector"))
+    with_plant(test, roster_text(drives, drive=DRIVE, sections=groups))

@@ -116,9 +116,7 @@ class WatchdogArbiter:
         """Choose the telegram that feeds a drive: one that is wanted anyway, if there is one."""
         for priority in (Priority.CONTROL, Priority.INTERACTIVE):
             request = self._waiting.queues[priority].first_for(feed.drive)
-            if request is None or self._waiting.holder(request) is not None:
-                continue
-            if self._serves(request, feed, now_s):
+            if request is not None and self._serves(request, feed, now_s):
                 return request
         entry = self._polling.early(feed.drive, now_s)
         if entry is not None and self._serves(entry.made(), feed, now_s):

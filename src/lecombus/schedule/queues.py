@@ -172,7 +172,6 @@ class QueuedDrive:
         "kept_until_s",
         "lanes",
         "multicast_at",
-        "multicasts",
         "name",
         "parked",
         "stopped_at",
@@ -189,7 +188,6 @@ class QueuedDrive:
         self.kept: dict[Priority, float] = {}
         self.kept_until_s = 0.0  # .. and until when that counts
         self.writes: set[Request] = set()  # waiting writes that reach it
-        self.multicasts: set[Request] = set()  # those of them that reach other drives too
         self.multicast_at = 0  # serial of the last multicast that reaches it
         self.parked: str | None = None  # why it is offline
         self.stopped_at = 0  # serial of the last stop

@@ -287,8 +287,6 @@ class Waiting:
         if request.writes and request.priority is not Priority.STOP:
             for drive in self._reached(request):
                 drive.writes.add(request)
-                if request.members:
-                    drive.multicasts.add(request)
 
     def leave(self, request: Request) -> None:
         """Take a waiting request out, chosen or ended."""
@@ -299,19 +297,19 @@ class Waiting:
         if request.writes:
             for drive in self._reached(request):
                 drive.writes.discard(request)
-                drive.multicasts.discard(request)
 
     def went_out(self, request: Request) -> None:
         """Note that a write was on the line: nothing asked for before it may undo it.
 
         An earlier one can still wait: it was not answered and is to be said again, or had to be put
         off. Behind a write that stops the drive it could let it run, or, as a quick stop behind an
-        inhibit, lift that stop; one that lets nothing go is said again all the same.
+        inhibit, lift that stop; one that lets nothing go is said again all the same. So is one that
+        stops other drives, too.
         """
         for drive in self._reached(request):
             for other in drive.writes:
                 early = bool(other.attempts) or other.priority <= request.priority
-                if other.serial > request.serial or not early:
+                if other.serial > request.serial or not early or (other.members and other.halts):
                     continue
                 if request.halts:
                     other.overtaken = other.overtaken or ("" if other.lifts_nothing else STOPPED)
@@ -354,7 +352,7 @@ class Waiting:
 
     def end_multicasts(self, drive: QueuedDrive, reason: str) -> None:
         """End the multicasts that wait and reach a drive, stops apart."""
-        self.end_all(list(drive.multicasts), Outcome.REFUSED, reason)
+        self.end_all([one for one in drive.writes if one.members], Outcome.REFUSED, reason)
 
     def end_all(self, requests: list[Request], outcome: Outcome, reason: str) -> None:
         """End those of the requests that still wait: one's end may have ended another."""
@@ -450,28 +448,17 @@ class Waiting:
         if not queue.depth:
             return None
         for _ in range(EXPIRE_BATCH):
-            request = queue.head(self.holder)
+            request = queue.head(self._holder)
             if request is None or not has_expired(request, now_s):
                 return request
             self.end_waiting(request, Outcome.EXPIRED, _TOO_LATE)
         return None  # `expire` goes on with the rest
 
-    def holder(self, request: Request) -> QueuedDrive | None:
-        """Find the held drive that keeps a request from going.
-
-        A write waits behind an earlier multicast of its class that reaches its drive and must wait
-        for another member: what was asked for last must be said last.
-        """
+    def _holder(self, request: Request) -> QueuedDrive | None:
+        """Find the held drive that keeps a request from going."""
         if not request.members:
             drive = self.drives.get(request.drive)
-            if drive is None or drive.held or not (drive.multicasts and request.writes):
-                return drive if drive is not None and drive.held else None
-            behind = (
-                self.holder(other)
-                for other in drive.multicasts
-                if other.priority is request.priority and other.serial < request.serial
-            )
-            return next((holder for holder in behind if holder is not None), None)
+            return drive if drive is not None and drive.held else None
         for name in request.members:
             drive = self.drives.get(name)
             if drive is not None and drive.held:

@@ -433,7 +433,8 @@ class LecomExchangeLoop:
         if request is None:
             return
         job: Job = request.work  # type: ignore[assignment]
-        if (type(job) is StopJob and job.asks_for_word) or self._late_answers.any(now):
+        by_result = request.is_outdated is not None or (type(job) is StopJob and job.asks_for_word)
+        if by_result or self._late_answers.any(now):
             return  # depends on the result of the exchange under way
         prepared = self._preparer.ask(job, now, urgent=request.priority is Priority.STOP)
         if isinstance(prepared, PreparedTelegram):

@@ -327,7 +327,7 @@ class StopJob(StopWork):
     def _inhibit(self, why: str, now_s: float | None = None) -> None:
         """Say an inhibit from now on, and give it time even where the quick stop used it up."""
         self._why = f"{self.action} {why}; "
-        self._learning = self._checking = False
+        self._learning = self._checking = self._repeats = False
         self._proving.begin()
         self._read_word = self._read_inhibit = None
         self._unheard = self._unshown = 0
