@@ -55,12 +55,14 @@ class Site:
         return until(found, f"{what}: messages under {topic}")
 
     def document(self, drive: str) -> dict[str, Any]:
-        """The newest document of a drive in which its cyclic values are good."""
+        """The newest document of a drive in which its cyclic values are good and all is known."""
 
         def found() -> dict[str, Any]:
             said: dict[str, Any] = json.loads(self.client.text(f"{ROOT}/{drive}/json") or "{}")
-            good = [one for one in said.get("values", {}).values() if one["quality"] == "good"]
-            return said if len(good) > 3 else {}
+            values = said.get("values", {}).items()
+            good = {code for code, one in values if one["quality"] == "good"}
+            doing = (said.get("motion") or {}).get("doing", "unknown")
+            return said if doing != "unknown" and {"C0050", "C0150"} <= good else {}
 
         return until(found, f"the values of {drive}")
 
