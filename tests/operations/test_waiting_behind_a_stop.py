@@ -293,6 +293,14 @@ def test_a_stop_ends_what_was_asked_for_before_it_and_had_to_wait_for_its_turn()
     with_plant(test, ROSTER)
 
 
+async def enable_under_way(plant: Plant) -> asyncio.Task[VerbReport]:
+    """Enable a drive that was inhibited; C0040 = 1 has just been sent to it."""
+    await plant.site.operations.stop(INHIBIT, "a")
+    enabling = asyncio.create_task(plant.site.operations.verb("a", Verb.ENABLE))
+    await until(lambda: plant.is_asking(b"\x0411\x02401"))
+    return enabling
+
+
 @pytest.mark.parametrize("fails", ["silent", "nak", "expired"])
 def test_an_enable_that_a_write_ended_which_did_not_stop_the_drive_is_taken_back(
     fails: str,
@@ -302,9 +310,7 @@ def test_an_enable_that_a_write_ended_which_did_not_stop_the_drive_is_taken_back
     async def test(plant: Plant) -> None:
         await plant.online()
         operations = plant.site.operations
-        await operations.stop(INHIBIT, "a")
-        enabling = asyncio.create_task(operations.verb("a", Verb.ENABLE))
-        await until(lambda: plant.is_asking(b"\x0411\x02401"))
+        enabling = await enable_under_way(plant)
         expires_s = None
         if fails == "silent":
             plant.line.drive_faults[11] = Faults(lost=1.0)
@@ -332,9 +338,7 @@ def test_so_is_one_whose_drive_is_not_known_to_have_heard_the_multicast_that_end
     async def test(plant: Plant) -> None:
         await plant.online()
         operations = plant.site.operations
-        await operations.stop(INHIBIT, "a")
-        enabling = asyncio.create_task(operations.verb("a", Verb.ENABLE))
-        await until(lambda: plant.is_asking(b"\x0411\x02401"))
+        enabling = await enable_under_way(plant)
         await anyio.sleep(0.06)
         assert not plant.line["a"].model.inhibited()
         said = len(plant.end.sent)
@@ -361,9 +365,7 @@ def test_nor_is_it_forgotten_when_nobody_waits_for_that_write_any_more(target: s
     async def test(plant: Plant) -> None:
         await plant.online()
         operations = plant.site.operations
-        await operations.stop(INHIBIT, "a")
-        enabling = asyncio.create_task(operations.verb("a", Verb.ENABLE))
-        await until(lambda: plant.is_asking(b"\x0411\x02401"))
+        enabling = await enable_under_way(plant)
         await anyio.sleep(0.06)
         plant.line.drive_faults[11] = Faults(nak=1.0, unheard=float(target == "two"))
 
@@ -391,9 +393,7 @@ def test_one_that_was_ended_by_a_write_that_did_stop_the_drive_is_left_to_that()
     async def test(plant: Plant) -> None:
         await plant.online()
         operations = plant.site.operations
-        await operations.stop(INHIBIT, "a")
-        enabling = asyncio.create_task(operations.verb("a", Verb.ENABLE))
-        await until(lambda: plant.is_asking(b"\x0411\x02401"))
+        enabling = await enable_under_way(plant)
         report = await operations.write("a", Code(135), "H0008")
         assert report.outcome is Outcome.DONE
         enabled = await enabling

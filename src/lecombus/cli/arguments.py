@@ -14,7 +14,9 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import click
+from click.core import ParameterSource
 
+from lecombus.cli.exits import CommandError, Exit
 from lecombus.durations import (
     LEAST_EXPIRY_S,
     LONGEST_EXPIRY_S,
@@ -36,6 +38,7 @@ __all__ = [
     "DaemonOptions",
     "Given",
     "Word",
+    "check_port_options",
     "daemon_options",
     "json_option",
     "roster_option",
@@ -290,6 +293,35 @@ def daemon_options(function: Callable[..., int]) -> Callable[..., int]:
     return click.option(
         "--socket", metavar="PATH", help="The daemon's socket; default: the only one there is."
     )(command)
+
+
+def check_port_options(
+    ctx: click.Context, port: str | None, daemon: DaemonOptions, *, only_with: tuple[str, ...],
+    why: str,
+) -> None:  # fmt: skip
+    """Refuse options that would do nothing: something else would be asked than is meant.
+
+    Args:
+        ctx: That of the command.
+        port: The port to be opened; None: the daemon is asked.
+        daemon: What the command line says of the daemon.
+        only_with: The options that need a port.
+        why: What is done without one.
+
+    Raises:
+        CommandError: There are some.
+    """
+    if port is not None:
+        if daemon.socket or daemon.url:
+            problem = "--port and a daemon are both given"
+            raise CommandError(Exit.USAGE, problem, "leave one of them out")
+        return
+    given = [f"--{one}" for one in only_with
+             if ctx.get_parameter_source(one) is ParameterSource.COMMANDLINE]  # fmt: skip
+    if given:
+        what = f"without --port, {', '.join(given)} would do nothing: {why}"
+        remedy = "leave it out" if len(given) == 1 else "leave them out"
+        raise CommandError(Exit.USAGE, what, remedy)
 
 
 def whole_path(context: click.Context, parameter: click.Parameter, port: str | None) -> str | None:

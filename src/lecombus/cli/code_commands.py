@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from functools import partial
 
 import click
-from click.core import ParameterSource
 
 from lecombus.cli.arguments import (
     CODE,
@@ -18,6 +17,7 @@ from lecombus.cli.arguments import (
     CommandWithNumbers,
     DaemonOptions,
     Given,
+    check_port_options,
     daemon_options,
     whole_path,
 )
@@ -70,7 +70,13 @@ def read_command(
     by tabs. With --json: {"drive", "code", "subcode", "name", "value", "raw", "format", "unit",
     "quality", "reason", "time", "age_s", "text"}. A value of quality bad makes the exit status 1.
     """
-    _refuse_unused(ctx, port, daemon, stored=stored)
+    if port is not None and stored:
+        problem = "--stored is what a daemon knows, and --port asks none"
+        raise CommandError(Exit.USAGE, problem, "leave one of them out")
+    check_port_options(
+        ctx, port, daemon, only_with=("address", "family", "baud"),
+        why="the daemon reads DRIVE as its roster describes it",
+    )  # fmt: skip
     if port is not None:
         code = _only_code(words)
         from lecombus.api.decimal_json import encode
@@ -86,33 +92,6 @@ def read_command(
     spoken = words[-1].upper() if words[-1][:1] in ("p", "P") else ""  # as its keypad names it
     show(answer, partial(show_reading, spoken=spoken), as_json=daemon.as_json)
     return Exit.FAILED if answer.data.get("quality") == "bad" else Exit.DONE
-
-
-def _refuse_unused(
-    ctx: click.Context, port: str | None, daemon: DaemonOptions, *, stored: bool
-) -> None:
-    """Refuse options that would do nothing: another value would be read than is meant.
-
-    Raises:
-        CommandError: There are some.
-    """
-    if port is None:
-        of_port = ("address", "family", "baud")
-        given = [f"--{one}" for one in of_port
-                 if ctx.get_parameter_source(one) is ParameterSource.COMMANDLINE]  # fmt: skip
-        if given:
-            raise CommandError(
-                Exit.USAGE,
-                f"without --port, {', '.join(given)} would do nothing: the daemon reads DRIVE as "
-                "its roster describes it",
-                "leave it out" if len(given) == 1 else "leave them out",
-            )
-    elif stored:
-        problem = "--stored is what a daemon knows, and --port asks none"
-        raise CommandError(Exit.USAGE, problem, "leave one of them out")
-    elif daemon.socket or daemon.url:
-        problem = "--port and a daemon are both given"
-        raise CommandError(Exit.USAGE, problem, "leave one of them out")
 
 
 def _drive_address(address: int | None) -> int:

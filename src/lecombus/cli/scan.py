@@ -13,9 +13,13 @@ from typing import Any
 
 import anyio
 import click
-from click.core import ParameterSource
 
-from lecombus.cli.arguments import DaemonOptions, daemon_options, whole_path
+from lecombus.cli.arguments import (
+    DaemonOptions,
+    check_port_options,
+    daemon_options,
+    whole_path,
+)
 from lecombus.cli.daemon_access import work
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.own_line import OwnPort, own_port
@@ -170,22 +174,16 @@ def scan_command(
         raise CommandError(
             Exit.USAGE, "--bauds and --all-bauds are both given", "leave one of them out"
         )
+    if port is None and (all_bauds or bauds):
+        what = "a daemon scans at its line's baud rate only"
+        remedy = "leave the rates out, or stop the daemon and scan with --port"
+        raise CommandError(Exit.USAGE, what, remedy)
+    check_port_options(
+        ctx, port, daemon, only_with=("parity", "direction", "name"),
+        why="a daemon scans its line",
+    )  # fmt: skip
     if port is None:
-        if all_bauds or bauds:
-            what = "a daemon scans at its line's baud rate only"
-            remedy = "leave the rates out, or stop the daemon and scan with --port"
-            raise CommandError(Exit.USAGE, what, remedy)
-        given = [f"--{one}" for one in ("parity", "direction", "name")
-                 if ctx.get_parameter_source(one) is ParameterSource.COMMANDLINE]  # fmt: skip
-        if given:
-            what = f"without --port, {', '.join(given)} would do nothing: a daemon scans its line"
-            remedy = "leave it out" if len(given) == 1 else "leave them out"
-            raise CommandError(Exit.USAGE, what, remedy)
         return _through_daemon(options, daemon)
-    if daemon.socket or daemon.url:
-        raise CommandError(
-            Exit.USAGE, "--port and a daemon are both given", "leave one of them out"
-        )
     line = LineEntry(name=name, port=port, parity=parity, direction=direction)  # type: ignore[arg-type]
     return _on_own_port(options, line)
 
