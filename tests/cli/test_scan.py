@@ -140,9 +140,11 @@ def test_two_drives_at_one_address_of_which_one_answers_later_are_remarked(
     with drives(tmp_path, FEW, "--faults", "twins=12") as port:
         ran = run("scan", "--port", port, "--bauds", "19200", "--addresses", *words, "--json")
     remarks = {one["address"]: one["remarks"] for one in json.loads(ran.out)["drives"]}
-    assert [text for text in remarks.pop(12) if text.startswith("two drives at address 12?")]
+    said = [text for text in remarks.pop(12) if text.startswith("two drives at address 12?")]
     assert not [text for texts in remarks.values() for text in texts if "two drives" in text]
-    assert (ran.status, ran.err) == (0, "")
+    assert ran.status == 0
+    # Where the second answers are late on a busy computer it is not certain whose they are.
+    assert bool(said) is ("two drives at one address" not in ran.err)
 
 
 @pytest.mark.real
