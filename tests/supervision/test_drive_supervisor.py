@@ -8,6 +8,8 @@ import random
 import anyio
 import pytest
 
+from lecombus.config import parse_roster
+from lecombus.config.warnings import find_warnings
 from lecombus.drive_state.drive_runtime import Drive
 from lecombus.drive_state.readings import DriveState
 from lecombus.drive_state.store import DriveChanged, LineState
@@ -15,8 +17,11 @@ from lecombus.drives import StopAction
 from lecombus.errors import LecombusError
 from lecombus.fieldbus.lecom.simulator.faults import Faults
 from lecombus.fieldbus.lecom.simulator.parameters import CommError, ExtendedError, Refusal
+from lecombus.operations.awaited_requests import BACK_WITHIN_S
 from lecombus.parameters import Code
 from lecombus.schedule import Priority
+from lecombus.supervision.health import AUDIT_AFTER
+from lecombus.supervision.watchdogs import OFF
 from support.rosters import roster_text
 from support.sim_host import code_field
 from support.site_host import Plant, plainly, until, with_plant
@@ -644,3 +649,181 @@ def test_a_lost_port_is_logged_once_and_not_once_more_for_each_drive(
         assert len([one for one in states if "from=online to=starting" in one]) == 5
 
     with_plant(test, roster_text(FIVE, watchdog=GUARD))
+
+
+FULL = [(f"d{address}", address, "821x") for address in range(11, 20)]
+FULL_ROSTER = roster_text(
+    FULL, baud=9600, watchdog="{time: 900ms, action: quick-stop, configure: true}"
+)
+"""What a module's own code takes is more than nine such watchdogs leave."""
+
+
+MIXED_ROSTER = roster_text(
+    FULL, baud=9600, own={"d11": f"watchdog: {GUARD}"} | {
+        name: "watchdog: {time: 900ms, action: quick-stop, configure: true}"
+        for name, _, _ in FULL[1:]
+    },
+)  # fmt: skip
+
+
+def away(plant: Plant, *addresses: int) -> None:
+    for address in addresses:
+        plant.line.drive_faults[address] = Faults(unheard=1.0)
+
+
+def unseen(plant: Plant) -> set[str]:
+    return {name for name, _, _ in FULL if "cannot be checked" in (remark(plant, name) or "")}
+
+
+@pytest.mark.parametrize("time_ms", [900, 1000, 1100, 1200, 1300, 1400])
+def test_check_warns_of_the_watchdogs_that_are_not_looked_at(time_ms: int) -> None:
+    roster = FULL_ROSTER.replace("900ms", f"{time_ms}ms")
+    warned = any(
+        "neither checked nor set" in one for one in find_warnings(parse_roster(roster, "r.yaml"))
+    )
+
+    async def test(plant: Plant) -> None:
+        await plant.online(within_s=120.0)
+        assert bool(unseen(plant)) is warned
+
+    with_plant(test, roster)
+
+
+def test_after_a_disturbance_no_time_is_spent_on_watchdogs_that_do_not_fit() -> None:
+    """Others are offline then, so that each would fit, one after the other, for minutes."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online(within_s=120.0)
+        everybody = {name for name, _, _ in FULL}
+        assert unseen(plant) == everybody
+        away(plant, *range(11, 20))
+        await until(
+            lambda: all(plant.state(one) is DriveState.OFFLINE for one in everybody),
+            within_s=60.0,
+        )
+        begin_s = plant.now_s
+        plant.line.drive_faults.clear()
+        await plant.online(within_s=20.0)
+        tried = [
+            one for one in plant.reports
+            if one.step.code in (Code(1922), Code(1923)) and one.result.started_s > begin_s
+        ]  # fmt: skip
+        assert not tried
+        assert unseen(plant) == everybody
+
+    with_plant(test, FULL_ROSTER)
+
+
+def test_where_others_are_away_for_longer_a_watchdog_is_looked_at() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online(within_s=120.0)
+        assert "cannot be checked" in (remark(plant, "d11") or "")
+        away(plant, *range(12, 20))
+        await anyio.sleep(BACK_WITHIN_S + 30.0)
+        plant.power_cycle("d11", 5.0)
+        await until(lambda: plant.state("d11") is not DriveState.ONLINE)
+        await plant.online("d11", within_s=60.0)
+        assert plant.line["d11"].model.watchdog_setting() == (2.0, 2)
+        assert remark(plant, "d11") is None
+
+    with_plant(test, MIXED_ROSTER)
+
+
+def test_when_a_reload_leaves_room_the_next_audit_looks_at_the_watchdog() -> None:
+    own = {"d11": f"watchdog: {GUARD}"}
+
+    async def test(plant: Plant) -> None:
+        await plant.online(within_s=120.0)
+        assert "cannot be checked" in (remark(plant, "d11") or "")
+        plant.apply(roster_text(FULL[:1], baud=9600, own=own))
+        await anyio.sleep(1.0)
+        assert "cannot be checked" in (remark(plant, "d11") or ""), "it is not audited anew"
+        plant.power_cycle("d11", 5.0)
+        await until(lambda: plant.state("d11") is not DriveState.ONLINE)
+        await plant.online("d11", within_s=60.0)
+        assert plant.line["d11"].model.watchdog_setting() == (2.0, 2)
+        assert remark(plant, "d11") is None
+
+    with_plant(test, MIXED_ROSTER)
+
+
+def test_a_watchdog_that_was_off_is_fed_when_it_can_no_longer_be_looked_at() -> None:
+    """And it is not relied upon: it may be off still."""
+    alone = roster_text(
+        FULL[:1], baud=9600, watchdog="{time: 900ms, action: quick-stop, configure: false}"
+    )
+
+    def asked_for_action(plant: Plant) -> bool:
+        last = plant.end.sent[-1].data if plant.end.sent else b""
+        return last.startswith(b"\x0411") and code_field(1922) in last
+
+    async def test(plant: Plant) -> None:
+        await until(lambda: asked_for_action(plant), within_s=60.0)
+        plant.apply(FULL_ROSTER.replace("configure: true", "configure: false"))  # no room now
+        await plant.online(within_s=120.0)
+        assert plant.site.drives.get("d11").audit.watchdog == OFF
+        model = plant.line["d11"].model
+        model.preset(1923, "900")
+        model.preset(1922, "2")
+        away(plant, 11)
+        await until(lambda: plant.state("d11") is DriveState.OFFLINE)
+        plant.line.drive_faults.clear()
+        await plant.online(within_s=120.0)
+        assert "cannot be checked" in (remark(plant, "d11") or "")
+        assert plant.site.drives.get("d11").audit.watchdog == OFF
+        fired = plant.line["d11"].watchdog_fired
+        await anyio.sleep(60.0)
+        plant.line.advance(plant.now_s)
+        assert plant.line["d11"].watchdog_fired == fired
+
+    with_plant(test, alone, also=FULL[1:])
+
+
+def test_a_watchdog_that_can_no_longer_be_looked_at_is_not_rechecked() -> None:
+    """After a short silence what was known of it would be compared, and doubted again and again."""
+    alone = roster_text(FULL[:1], baud=9600, watchdog=LOOK)
+    own = {"d11": f"watchdog: {LOOK}"} | {
+        name: "watchdog: {time: 900ms, action: quick-stop}" for name, _, _ in FULL[1:]
+    }
+
+    async def test(plant: Plant) -> None:
+        await plant.online(within_s=60.0)
+        audit = plant.site.drives.get("d11").audit
+        assert not audit.anew
+        plant.apply(roster_text(FULL, baud=9600, own=own))
+        await plant.online(within_s=120.0)
+        away(plant, 11)
+        await until(lambda: plant.site.drives.get("d11").health.misses >= AUDIT_AFTER)
+        plant.line.drive_faults.clear()
+        assert plant.state("d11") is DriveState.DEGRADED
+        await until(lambda: "cannot be checked" in (remark(plant, "d11") or ""), within_s=60.0)
+        assert audit is plant.site.drives.get("d11").audit
+        assert audit.anew
+
+    with_plant(test, alone, also=FULL[1:])
+
+
+def test_a_shorter_watchdog_of_a_drive_that_fell_silent_keeps_no_other_from_being_set() -> None:
+    """`check` is content with the roster, and what is not in it does not count."""
+    own = dict.fromkeys(("d11", "d12"), f"watchdog: {GUARD}")
+    roster = roster_text([*FULL[:2], ("x", 21, "8200vector")], baud=9600,
+                         own=own | {"x": f"watchdog: {LOOK}"})  # fmt: skip
+
+    async def test(plant: Plant) -> None:
+        short = plant.line["x"].model
+        short.preset(1923, "500")
+        short.preset(1922, "2")
+        await plant.online(within_s=120.0)
+        assert "0.5 s" in (remark(plant, "x") or "")
+        away(plant, 21)
+        await until(lambda: plant.state("x") is DriveState.OFFLINE)
+        plant.power_cycle("d11", 5.0)
+        await until(lambda: plant.state("d11") is not DriveState.ONLINE)
+        await plant.online("d11", within_s=60.0)
+        assert plant.line["d11"].model.watchdog_setting() == (2.0, 2)
+        assert remark(plant, "d11") is None
+
+    assert not [
+        one for one in find_warnings(parse_roster(roster, "r.yaml")) if "neither checked" in one
+    ]
+    with_plant(test, roster)

@@ -15,6 +15,7 @@ from contextvars import ContextVar
 from typing import Final
 
 from lecombus.drive_state.drive_runtime import LineDrives
+from lecombus.drive_state.readings import DriveState
 from lecombus.drives.stops import asks_to_stop
 from lecombus.errors import (
     CutReplyError,
@@ -57,6 +58,9 @@ WRITE_TRIES: Final = 3
 
 NAK_READS: Final = 3
 """A drive that refuses a code so often in a row does not have it: no noise makes that many NAKs."""
+
+BACK_WITHIN_S: Final = 300.0
+"""A drive that fell silent less than so long ago is expected back, seconds."""
 
 IS_GONE: ContextVar[Callable[[], bool] | None] = ContextVar("IS_GONE", default=None)
 """Says whether the client that asked for what is being done has closed its connection; None: there
@@ -272,6 +276,23 @@ class Requests:
                 if tries >= NAK_READS:
                     raise UnknownCodeError(str(exc), exc.record) from exc
             tries += 1
+
+    def see_that_it_fits(self, station: Station, code: Code) -> None:
+        """See that a read fits beside the roster's watchdogs, also of drives expected back.
+
+        Raises:
+            OperationError: `does-not-fit`.
+        """
+        since_s = self._clock() - BACK_WITHIN_S
+        away = {
+            drive.name
+            for drive in self.drives
+            if drive.health.state is DriveState.OFFLINE
+            and not (drive.health.heard and drive.health.silent_from_s > since_s)
+        }
+        request = self.maker.read(station, code, Priority.INTERACTIVE)
+        if reason := self.worker.schedule.never_beside_roster(request, away):
+            raise never_sent(Outcome.REFUSED, reason, station, code)
 
     async def write(
         self,

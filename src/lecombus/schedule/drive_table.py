@@ -40,6 +40,7 @@ class DriveTable(ABC):
         self._waiting = Waiting(limits)
         self._drives = self._waiting.drives
         self._watchdogs = WatchdogSet()
+        self._by_roster = WatchdogSet()
         self._polling = Polling()
         self._probes = Probes(absent_share)
         self._fed_before: dict[
@@ -52,10 +53,16 @@ class DriveTable(ABC):
 
     # -- what the line has ------------------------------------------------------------------------
 
-    def expect(self, faults: FaultHypothesis) -> None:
-        """Keep room for such faults from now on, beside the exchange that is begun."""
+    def expect(self, faults: FaultHypothesis, by_roster: WatchdogSet | None = None) -> None:
+        """Keep room for such faults from now on, beside the exchange that is begun.
+
+        Args:
+            faults: The faults.
+            by_roster: The watchdogs that the roster names, for `never_beside_roster`.
+        """
         self._invalidate()
         self._watchdogs.faults = faults
+        self._by_roster = by_roster or WatchdogSet(faults)
         self._watchdogs.changed()
 
     def add_drive(self, name: str) -> None:

@@ -25,7 +25,7 @@ Pure: no clock, no I/O; `now_s` is monotonic seconds. What the requests say is n
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Final
 
 from lecombus.schedule.arbiter import Arbiter, Lookahead, PlannedChoice, WatchdogArbiter, to_feed
@@ -120,6 +120,15 @@ class Schedule(DriveTable):
     def never(self, request: Request) -> str:
         """Return why a request would never be begun beside the watchdogs; empty: it would."""
         return self._watchdogs.never(request)
+
+    def never_beside_roster(self, request: Request, away: Collection[str]) -> str:
+        """Return why it would never be begun beside what the roster names; empty: it would.
+
+        Args:
+            request: What would be sent.
+            away: Drives that do not count.
+        """
+        return self._by_roster.never_beside(request, away)
 
     # -- requests coming in -----------------------------------------------------------------------
 

@@ -392,6 +392,26 @@ class WatchdogSet:
             return ""
         return _never_fits(takes, most_s, self.by_drive[whose])
 
+    def never_beside(self, request: Request, away: Collection[str]) -> str:
+        """Return why an exchange does not fit beside these, by manual and roster; empty: it does.
+
+        Asked of the watchdogs that the roster names (`capacity.work_ahead.feeds_of`), as `check`
+        does.
+
+        Args:
+            request: What would be sent.
+            away: Drives that do not count.
+        """
+        for name, feed in self.by_drive.items():
+            feed.active = name not in away
+        self.changed()
+        cost_s, worst_s = request.documented or (request.cost_s, request.worst_s)
+        need_s, (most_s, whose) = self.least_room_s(cost_s, worst_s), self.most_s("")
+        if need_s <= most_s + ROUNDING_S:
+            return ""
+        takes = f"keep feeds waiting for {need_s:.3f} s with a stop behind it and a lost answer"
+        return _never_fits(takes, most_s, self.by_drive[whose])
+
     def spare_s(self) -> float:
         """Return how much slack is kept for attempts that fail, and for stops, seconds."""
         return self._spares()[0]

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from lecombus.capacity.watchdog_demand import faults_of
+from lecombus.capacity.work_ahead import feeds_of
 from lecombus.config import DriveEntry, Roster
 from lecombus.drive_state.drive_runtime import Drive
 from lecombus.drive_state.store import Store
@@ -100,7 +101,8 @@ class DriveChanges:
             self._metrics.counters.remove(name)
         for name in roster.groups:
             self._metrics.counters.add_group(name)
-        self._schedule.expect(faults_of(roster, self._requests.maker.timing))
+        timing = self._requests.maker.timing
+        self._schedule.expect(faults_of(roster, timing), feeds_of(roster, timing))
 
     def add(self, entry: DriveEntry) -> None:
         """Add a drive."""

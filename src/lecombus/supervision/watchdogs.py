@@ -98,9 +98,13 @@ class WatchdogAudit:
         return f"from {describe(traits, known)} to {describe(traits, found)}"
 
     async def look(self, drive: Drive, station: Station, traits: WatchdogTraits) -> int | None:
-        """Read what the watchdog does; None: it cannot be seen, which is remarked."""
+        """Read what the watchdog does; None: it cannot be seen, which is remarked.
+
+        It is not read either where it fits only because of others' silence of late (ADR 95).
+        """
         action: int | None = None
         with self._remarking(drive):
+            self._requests.see_that_it_fits(station, traits.action_code)
             action = int(number(await self._read(station, traits.action_code)))
             if action == 0:
                 drive.audit.watchdog = OFF
@@ -138,7 +142,12 @@ class WatchdogAudit:
             if exc.kind != DOES_NOT_FIT:
                 raise
             text = f"its watchdog cannot be checked: {exc}"
-        drive.audit.watchdog = OFF if action == 0 else None
+        known = drive.audit.watchdog
+        was_off = known is not None and known.action == 0
+        if action is None and was_off and drive.entry.watchdog is not None:
+            self._feed(drive, drive.entry.watchdog.time_s)  # it may be on by now, or off still
+        drive.audit.watchdog = OFF if action == 0 or was_off else None
+        drive.audit.anew = True  # rechecks compare nothing with it
         self._store.note(drive.name, REMARK, text)
 
     async def _audit_watchdog(
