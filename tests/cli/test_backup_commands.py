@@ -501,9 +501,11 @@ def test_an_interrupted_restore_is_told_and_gone_on_with(
 
 
 @pytest.mark.parametrize("as_json", [False, True])
-def test_a_ctrl_c_during_a_restore_says_what_was_written_and_how_to_go_on(
-    run: Run, drive: Drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, as_json: bool
-) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_during_a_restore_says_what_was_written_and_how_to_go_on(
+    run: Run, drive: Drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    number: signal.Signals, as_json: bool,
+) -> None:  # fmt: skip
     (tmp_path / "expected").touch()
     path = to_restore(run, drive, tmp_path)
     drive.takes("C0011")
@@ -512,7 +514,7 @@ def test_a_ctrl_c_during_a_restore_says_what_was_written_and_how_to_go_on(
 
     def done(notes: Notes, code: Code, value: Value) -> None:
         plain(notes, code, value)
-        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), number)
 
     monkeypatch.setattr(Notes, "done", done)
     # These tests may run in the background themselves, deaf to Ctrl-C.

@@ -9,11 +9,13 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import anyio
 import pytest
 
-from cli.daemon_stub import serve_stub
+from cli.conftest import Run
+from cli.daemon_stub import DaemonStub, serve_stub
 from lecombus.cli import leases
 from lecombus.cli.arguments import DaemonOptions
 from lecombus.cli.exits import CommandError
@@ -94,6 +96,39 @@ def test_a_command_ends_with_its_lease_also_one_that_ignores_signals(
                 hold, daemon, ("service", ["feeder"], 1.0, ""), [sys.executable, "-c", script]
             )
         thread.join()
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(up.read_text()), 0)
+
+
+@pytest.mark.real
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("ctrl_c", [signal.default_int_handler, signal.SIG_IGN])
+def test_a_command_ends_when_the_one_that_holds_its_lease_is_ended(
+    run: Run, daemon: DaemonStub, tmp_path: Path, number: signal.Signals, ctrl_c: Any
+) -> None:
+    """It would go on without a lease. A script of a shell's background is deaf to Ctrl-C."""
+    up = tmp_path / "up"
+    script = (
+        f"open({str(up)!r}, 'w').write(str(__import__('os').getpid())); import time; time.sleep(60)"
+    )
+    daemon.answers["GET /v1/groups"] = (200, '{"groups": []}')
+    daemon.answers["PUT /v1/leases/service"] = (200, json.dumps(GRANTED))
+
+    def end() -> None:
+        until_s = time.monotonic() + 20
+        while not (up.exists() and up.read_text()) and time.monotonic() < until_s:
+            time.sleep(0.02)
+        os.kill(os.getpid(), number)
+
+    thread = threading.Thread(target=end)
+    before = signal.signal(signal.SIGINT, ctrl_c)
+    try:
+        thread.start()
+        ran = run("lease", "service", "--on", "feeder", "--", sys.executable, "-c", script)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    thread.join()
+    assert ran.status == 130
     with pytest.raises(ProcessLookupError):
         os.kill(int(up.read_text()), 0)
 

@@ -22,6 +22,7 @@ from lecombus.cli.daemon_access import LEASE_VARIABLE, ask, command_errors, conn
 from lecombus.cli.document_rows import Document, cells_of
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.screen import on_terminal, show_rows
+from lecombus.cli.signals import ended_as_by_ctrl_c
 from lecombus.client.finding import find_daemon
 
 if TYPE_CHECKING:
@@ -89,6 +90,7 @@ def _show(document: Document) -> None:
 @click.option("--take-over", metavar="LEASE", default="", help="Take the drives of this lease.")
 @click.argument("command", nargs=-1, required=True, type=click.UNPROCESSED)
 @daemon_options
+@ended_as_by_ctrl_c()
 def lease_command(
     name: str,
     targets: tuple[str, ...],
@@ -101,8 +103,8 @@ def lease_command(
 
     For service and for trying things out: `lecombus lease service --on feeder -- bash`, and in that
     shell `lecombus enable feeder`. Drives whose roster requires a lease are stopped at the end. If
-    this process is killed or hangs, the lease lapses after its time. If the lease is lost, COMMAND
-    is ended.
+    this process is killed or hangs, the lease lapses after its time. If the lease is lost, or this
+    process is ended by SIGTERM, SIGHUP or Ctrl-C, COMMAND is ended.
 
     The exit status is that of COMMAND.
     """

@@ -5,12 +5,10 @@ from __future__ import annotations
 import json
 import signal
 import socket
-from collections.abc import Awaitable, Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import FrameType
-from typing import Final, NoReturn
 
 import anyio
 import click
@@ -27,6 +25,7 @@ from lecombus.cli.screen import (
     progress,
     show_rows,
 )
+from lecombus.cli.signals import at_signals, ended_as_by_ctrl_c, heeded
 from lecombus.config import DriveEntry, Roster, load_roster
 from lecombus.drives import family, saving_rule
 from lecombus.drives.procedures import ReadAttempt, WriteAttempt, identity_codes
@@ -62,9 +61,6 @@ __all__ = ["carry_out", "rebaud_command"]
 Procedure = Callable[[LineAccess], Awaitable[None]]
 
 RATES = [str(baud) for baud in BAUDS]
-
-_LIKE_CTRL_C: Final = (signal.SIGTERM, signal.SIGHUP)
-"""What ends the work as Ctrl-C does; the second comes when the terminal is gone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,7 +278,7 @@ def _do(work: Rebaud, options: RebaudOptions) -> int:
     ):
         went_back = True
         trouble = _try(work, work.back, options, DrivePlace.OLD, work.old)
-    with _at_signals(lambda number, frame: None):  # the report comes whole
+    with at_signals(lambda number, frame: None):  # the report comes whole
         show_end(work, options.roster, trouble, as_json=options.as_json)
     if work.line.interrupted:
         return Exit.INTERRUPTED
@@ -345,37 +341,12 @@ def _wants_back(work: Rebaud, options: RebaudOptions) -> bool:
         return True
     if options.yes or options.as_json or not can_ask():
         return False
-    with suppress(click.Abort), _at_signals(_abort):
+    with suppress(click.Abort, KeyboardInterrupt), ended_as_by_ctrl_c():
         for drive in work.drives:
             if drive.why:
                 click.echo(f"{drive.name}: {drive.why}")
         return click.confirm(f"Not every drive came over. Bring all back to {work.old} baud?")
     return False
-
-
-Handler = Callable[[int, FrameType | None], None]
-
-
-def _abort(number: int, frame: FrameType | None) -> NoReturn:
-    """End a question as Ctrl-C does."""
-    forget_terminal()
-    raise click.Abort
-
-
-@contextmanager
-def _at_signals(handler: Handler) -> Iterator[None]:
-    """Handle what ends a program, but for Ctrl-C, while the block runs."""
-    before = {number: signal.signal(number, handler) for number in _heeded()}
-    try:
-        yield
-    finally:
-        for number, former in before.items():
-            signal.signal(number, former)
-
-
-def _heeded() -> list[signal.Signals]:
-    """Return the signals that end the work: not those that `nohup` keeps away."""
-    return [one for one in _LIKE_CTRL_C if signal.getsignal(one) is not signal.SIG_IGN]
 
 
 def show_plan(work: Rebaud, roster: Roster, *, as_json: bool) -> None:
@@ -511,7 +482,7 @@ async def _listen(
     *,
     task_status: anyio.abc.TaskStatus[None] = anyio.TASK_STATUS_IGNORED,
 ) -> None:
-    with anyio.open_signal_receiver(signal.SIGINT, *_heeded()) as signals:
+    with anyio.open_signal_receiver(signal.SIGINT, *heeded()) as signals:
         task_status.started()
         async for _ in signals:
             forget_terminal()

@@ -33,6 +33,7 @@ from lecombus.cli.daemon_access import connected
 from lecombus.cli.drive_access import HttpDrive, RestorePermission, Whose
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.screen import counted, make_sure, on_terminal, progress, show_rows
+from lecombus.cli.signals import ended_as_by_ctrl_c
 from lecombus.fieldbus.protocols import family_of_any_protocol
 from lecombus.parameters import Code, Json, Value
 
@@ -100,6 +101,7 @@ class Seen:
 )
 @wait_option
 @daemon_options
+@ended_as_by_ctrl_c()
 def restore_command(
     file: Path,
     drive: str,
@@ -141,7 +143,7 @@ def restore_command(
 
 @contextlib.contextmanager
 def said_when_interrupted(what: str) -> Iterator[None]:
-    """Print what was done when Ctrl-C interrupts the block."""
+    """Print what was done when Ctrl-C or a signal interrupts the block."""
     try:
         yield
     except (KeyboardInterrupt, click.Abort):
