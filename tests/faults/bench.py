@@ -18,6 +18,7 @@ import signal
 import subprocess
 import threading
 import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -30,7 +31,16 @@ import pytest
 
 from faults.shifted_clock import OFFSET
 from support.children import Child, child
-from support.daemon_host import Daemon, command, environment, listens, short_dir, until
+from support.daemon_host import (
+    Daemon,
+    command,
+    environment,
+    free_port,
+    listens,
+    short_dir,
+    until,
+)
+from support.mqtt_parts import Broker
 from support.rosters import Wanted, roster_text
 from support.traffic import CUT, HANGING, Asked, Traffic, get, put
 
@@ -153,12 +163,14 @@ class Bench:
         self.folder = self._stack.enter_context(short_dir())
         self.clock = self.folder / "clock"
         self.clock.write_bytes(OFFSET.pack(0.0))
+        self.broker = Broker(self.folder, free_port())  # of the faults that need one
         text = roster_text(
             DRIVES, port=self.folder / "port", folder=self.folder,
             watchdog="{time: 2s, action: inhibit, configure: true}", line="stall: 5s",
             own={"feeder": "also_writable: [C0012]"},
             drive=f"cyclic: [{{code: C0150, every: {PERIOD_S * 1000:.0f}ms}}]",
-            sections=f"journal: {self.folder / 'journal.sqlite'}",
+            sections=f"journal: {self.folder / 'journal.sqlite'}\n"
+            f"mqtt: {{host: 127.0.0.1, port: {self.broker.port}, tls: no, control: yes}}",
         )  # fmt: skip
         (self.folder / "roster.yaml").write_text(text)
         words = ("--roster", self.folder / "roster.yaml")
@@ -224,6 +236,20 @@ class Bench:
     def log(self) -> str:
         """All it has logged."""
         return (self.folder / "log").read_text()
+
+    def written_by_mqtt(self) -> Counter[str]:
+        """How often each value was written by MQTT, since the journal began."""
+        found: Counter[str] = Counter()
+        after: int | None = 0
+        while after is not None:
+            page = self.get(f"/v1/journal?after={after}&limit=500")
+            found.update(
+                row["fields"]["value"] for row in page["rows"]
+                if row.get("asked") and row["what"] == "write"
+                and row["fields"].get("client") == "mqtt" and row["outcome"] != "refused"
+            )  # fmt: skip
+            after = page["next"]
+        return found
 
     def is_good(self) -> bool:
         """Whether every drive is online and every cyclic value good and new."""

@@ -10,6 +10,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
@@ -20,6 +21,7 @@ import httpx2
 
 from faults.bench import Bench, Seen
 from support.daemon_host import until
+from support.mqtt_parts import MqttClient, bridge
 
 __all__ = ["CLASSES", "FaultClass"]
 
@@ -341,6 +343,117 @@ def _killed(bench: Bench, seen: Seen) -> Injected:
         bench.start()
         assert bench.get("/v1/journal/verify")["problem"] is None, "the chain is broken"
     return "SIGKILL and start, 3 times"
+
+
+# ---- the broker of the MQTT bridge -------------------------------------------------------------
+
+UNDISTURBED: Final = "the line and its clients notice nothing; "
+SHOWN: Final = "lecombus/test/belt/value/C0150"
+
+
+class _Commands:
+    """Sends commands by MQTT, each twice, and all again after every fault.
+
+    Each writes a value of its own, so that the journal shows how often it was carried out.
+    """
+
+    def __init__(self, bench: Bench) -> None:
+        self._bench = bench
+        self._before = bench.written_by_mqtt()
+        self._sent: list[str] = []
+
+    def send(self, count: int = 10) -> None:
+        """Send so many new commands, all older ones too, and wait for their answers."""
+        first = self._before.total() + len(self._sent)
+        self._sent += [f"{(first + one) / 50:.2f}" for one in range(count)]
+        with self._bench.broker.client("answers/test", SHOWN) as client:
+            # What comes before the bridge has subscribed again is nobody's.
+            until(partial(_is_heard, client), "the bridge takes commands", within_s=40.0)
+            for value in self._sent * 2:
+                client.ask("lecombus/test/feeder/set/C0046", value, correlation=value.encode())
+            until(lambda: client.text(SHOWN), "a value is shown", within_s=40.0)
+
+    def judge(self) -> str:
+        """Look how often each was carried out."""
+        carried_out = self._bench.written_by_mqtt() - self._before
+        wanted = Counter(f"{float(value):g}" for value in self._sent)
+        assert carried_out == wanted, f"carried out: {carried_out}"
+        return f"{len(self._sent)} commands, each carried out once"
+
+
+def _is_heard(client: MqttClient) -> bool:
+    client.publish("lecombus/test/feeder/do/none", response="answers/test", correlation=b"probe")
+    time.sleep(0.5)
+    return any(one.correlation == b"probe" for one in client.all("answers/test"))
+
+
+@contextlib.contextmanager
+def _bridged(bench: Bench) -> Iterator[_Commands]:
+    """Run a broker and the bridge; look at the end at what was carried out."""
+    bench.broker.start()
+    try:
+        with bridge(bench.folder):
+            commands = _Commands(bench)
+            with bench.broker.client(SHOWN) as client:
+                until(lambda: client.text(SHOWN), "a value is shown", within_s=40.0)
+            commands.send()
+            yield commands
+    finally:
+        bench.broker.end(kill=True)
+
+
+@fault(
+    "the broker is killed", "broker",
+    UNDISTURBED + "values are shown again when it is back; no command is carried out twice",
+)  # fmt: skip
+def _broker_killed(bench: Bench, seen: Seen) -> Injected:
+    with _bridged(bench) as commands:
+        for _ in range(3):
+            bench.broker.end(kill=True)
+            time.sleep(3.0)
+            bench.broker.start()
+            commands.send()
+        seen.notes.append(commands.judge())
+    return "SIGKILL, and started again after 3 s, 3 times"
+
+
+@fault(
+    "the broker hangs", "broker",
+    UNDISTURBED + "values are shown again when it goes on; no command is carried out twice",
+)  # fmt: skip
+def _broker_hangs(bench: Bench, seen: Seen) -> Injected:
+    with _bridged(bench) as commands:
+        process = bench.broker.process
+        assert process is not None
+        for _ in range(2):
+            process.send_signal(signal.SIGSTOP)
+            time.sleep(8.0)
+            process.send_signal(signal.SIGCONT)
+            commands.send()
+        seen.notes.append(commands.judge())
+    return "SIGSTOP for 8 s, 2 times"
+
+
+@fault(
+    "rubbish comes by the broker", "broker",
+    UNDISTURBED + "nothing of it is carried out; commands are answered before and after it",
+)  # fmt: skip
+def _broker_rubbish(bench: Bench, seen: Seen) -> Injected:
+    words = ("", "nan", "1e999", "0x", '{"value": {}}', "[" * 4000, "9" * 4000, '"\\ud800"')
+    random = [bytes((number * 7 + place * 13) % 256 for place in range(60)) for number in range(8)]
+    kinds = ("set/C0046", "set/C99999", "set/..", "do/enable", "do/set-speed", "do/", "event")
+    count = 0
+    with _bridged(bench) as commands:
+        with bench.broker.client() as client:
+            for kind in kinds:
+                for payload in (*(word.encode() for word in words[1:]), *random):
+                    for retain in (False, True):
+                        client.publish(f"lecombus/test/feeder/{kind}", payload, retain=retain)
+                        count += 1
+                client.publish(f"lecombus/test/feeder/{kind}", b"", retain=True)  # forget it
+        commands.send()
+        seen.notes.append(commands.judge())
+    return f"{count} messages with random bytes and JSON that is none, half of them retained"
 
 
 # ---- clients -------------------------------------------------------------------------------------

@@ -15,7 +15,9 @@ QUICK = ("clients say rubbish", "the clock jumps back")
 def test_there_are_enough_classes_of_every_kind() -> None:
     assert len(CLASSES) >= 20
     areas = {one.area for one in CLASSES.values()}
-    assert areas >= {"line", "adapter", "disk", "clock", "memory", "processor", "client"}
+    assert areas >= {
+        "line", "adapter", "disk", "clock", "memory", "processor", "broker", "client"
+    }  # fmt: skip
 
 
 @pytest.mark.slow
