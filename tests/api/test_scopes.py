@@ -110,6 +110,8 @@ async def test_a_token_for_another_drive_opens_no_call_about_this_one(
         ("C0012", "write"),  # acceleration time
         ("C0001", "control"),  # says who controls it: the line or the terminals
         ("C2001", "control"),  # the same of another parameter set
+        ("C0011", "control"),  # what 100 % of a setpoint are
+        ("C2011", "control"),  # the same of another parameter set
         ("C0410", "control"),  # wires its signals
         ("C0002", "control"),  # loads parameter sets
         ("C0043", "control"),  # resets a trip

@@ -30,6 +30,7 @@ from lecombus.api.answers import ProblemDocument, RefusedRequestError
 from lecombus.api.decimal_json import short
 from lecombus.api.limits import SparseLog
 from lecombus.drives import Family
+from lecombus.drives.verbs import acts_on_setpoints
 from lecombus.errors import LecombusError
 from lecombus.operations.actions import ACTOR
 from lecombus.operations.facade import Operations
@@ -239,7 +240,8 @@ def scope_of_write(place: Mapping[str, str], ops: Operations, family_of: FamilyO
     """Return what the write of a code needs: `control` where one of the drives may move by it.
 
     Not only commands do that: a code that says who controls a drive (C0001, C0005, P420) hands a
-    running motor to its terminals. A code that is none is refused by the route.
+    running motor to its terminals, and one that limits or selects setpoints (C0011, C0127, P102,
+    P103) changes its speed. A code that is none is refused by the route.
     """
     try:
         subcode = place.get("subcode")
@@ -247,15 +249,15 @@ def scope_of_write(place: Mapping[str, str], ops: Operations, family_of: FamilyO
     except LecombusError:
         return Scope.WRITE
     names = members_of(place["group"], ops) if "group" in place else (place["drive"],)
-    moves = any(ops.is_command(name, code) or gives_control(family_of(name), code)
+    moves = any(ops.is_command(name, code) or moves_as_setting(family_of(name), code)
                 for name in names)  # fmt: skip
     return Scope.CONTROL if moves else Scope.WRITE
 
 
-def gives_control(family: Family, code: Code) -> bool:
-    """Whether a code says who controls a drive."""
+def moves_as_setting(family: Family, code: Code) -> bool:
+    """Whether a setting says who controls a drive, or acts on its setpoints."""
     info = family.info(code)
-    return info is not None and info.control_source
+    return (info is not None and info.control_source) or acts_on_setpoints(family, code)
 
 
 def require_target(target: str, ops: Operations) -> None:
