@@ -66,6 +66,89 @@ def test_a_stop_ends_it_whatever_it_is(code: int, value: int | str, action: Stop
     with_plant(test, ROSTER)
 
 
+SETTINGS = [(1, 0, True), (127, 1, True), (777, 5, True), (11, 60, True), (1920, 1, False)]
+"""Code, value, and whether it could move the drive; 1 and 11 are stored, and read first."""
+
+
+async def stop_plainly(plant: Plant, target: str, code: int, value: str) -> None:
+    """Stop a drive, or a group, by a plain write."""
+    operations = plant.site.operations
+    if target == "a":
+        assert (await operations.write("a", Code(code), value)).outcome is Outcome.DONE
+        return
+    report = await operations.write_group(target, Code(code), value)
+    assert report.outcome in (Outcome.DONE, Outcome.VERIFIED), report
+
+
+@pytest.mark.parametrize("after_s", [0.0, 0.05])
+@pytest.mark.parametrize("stop", [(40, "0"), (135, "H0008")])
+@pytest.mark.parametrize(("code", "value", "moves"), SETTINGS)
+def test_so_does_a_plain_write_that_stops_if_it_could_move_the_drive(
+    code: int, value: int, moves: bool, stop: tuple[int, str], after_s: float
+) -> None:
+    """Not a setting that moves nothing: a PLC may write its stop ten times a second."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        reads = await busy(plant)
+        before = len(plant.line["a"].log)
+        writing = asyncio.create_task(plant.site.operations.write("a", Code(code), value))
+        other = asyncio.create_task(plant.site.operations.write("b", Code(777), 5))
+        await anyio.sleep(after_s)
+        await stop_plainly(plant, "a", *stop)
+        report = await writing
+        await asyncio.gather(*reads)
+        await anyio.sleep(2.0)
+        log = [one for one in list(plant.line["a"].log)[before:] if one.kind != "read"]
+        stopped_at = next(at for at, one in enumerate(log) if one.code == stop[0])
+        behind = [one for one in log[stopped_at:] if one.code == code]
+        assert bool(behind) is not moves
+        if moves and not [one for one in log[:stopped_at] if one.code == code]:
+            assert (report.outcome, report.kind) == (Outcome.SUPERSEDED, "superseded")
+        assert (await other).kind != "superseded", "another drive's goes on"
+
+    with_plant(test, ROSTER)
+
+
+@pytest.mark.parametrize("roster", [ROSTER, SHARED])
+@pytest.mark.parametrize("target", ["a", "two"])
+@pytest.mark.parametrize("code", [1, 127, 777])
+def test_so_does_one_that_stops_a_group_and_ends_what_a_group_waits_for(
+    code: int, target: str, roster: str
+) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        reads = [asyncio.ensure_future(plant.site.operations.read("b", Code(46)))
+                 for _ in range(20)]  # fmt: skip
+        await anyio.sleep(0.03)
+        before = {name: len(plant.line[name].log) for name in "ab"}
+        writing = asyncio.create_task(plant.site.operations.write_group("two", Code(code), 1))
+        await anyio.lowlevel.checkpoint()
+        await stop_plainly(plant, target, 135, "H0008")
+        await writing
+        await asyncio.gather(*reads)
+        await anyio.sleep(2.0)
+        for name in "a" if target == "a" else "ab":
+            log = [one for one in list(plant.line[name].log)[before[name] :] if one.kind != "read"]
+            stopped_at = next(at for at, one in enumerate(log) if one.code == 135)
+            assert not [one for one in log[stopped_at:] if one.code == code]
+
+    with_plant(test, roster)
+
+
+def test_a_group_is_inhibited_although_a_member_was_stopped_meanwhile() -> None:
+    """The later of two plain stops is not ended by the earlier one: it is the stronger."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        inhibiting = asyncio.create_task(plant.site.operations.write_group("two", Code(40), 0))
+        await stop_plainly(plant, "a", 135, "H0008")
+        assert (await inhibiting).outcome in (Outcome.DONE, Outcome.VERIFIED)
+        assert all(plant.line[name].model.inhibited() for name in "ab")
+
+    with_plant(test, ROSTER)
+
+
 def test_a_write_asked_for_after_the_stop_goes_out() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()

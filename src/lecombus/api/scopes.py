@@ -30,7 +30,7 @@ from lecombus.api.answers import ProblemDocument, RefusedRequestError
 from lecombus.api.decimal_json import short
 from lecombus.api.limits import SparseLog
 from lecombus.drives import Family
-from lecombus.drives.verbs import acts_on_setpoints
+from lecombus.drives.verbs import may_move
 from lecombus.errors import LecombusError
 from lecombus.operations.actions import ACTOR
 from lecombus.operations.facade import Operations
@@ -239,9 +239,7 @@ def check(
 def scope_of_write(place: Mapping[str, str], ops: Operations, family_of: FamilyOf) -> Scope:
     """Return what the write of a code needs: `control` where one of the drives may move by it.
 
-    Not only commands do that: a code that says who controls a drive (C0001, C0005, P420) hands a
-    running motor to its terminals, and one that limits or selects setpoints (C0011, C0127, P102,
-    P103) changes its speed. A code that is none is refused by the route.
+    A code that is none is refused by the route.
     """
     try:
         subcode = place.get("subcode")
@@ -249,15 +247,8 @@ def scope_of_write(place: Mapping[str, str], ops: Operations, family_of: FamilyO
     except LecombusError:
         return Scope.WRITE
     names = members_of(place["group"], ops) if "group" in place else (place["drive"],)
-    moves = any(ops.is_command(name, code) or moves_as_setting(family_of(name), code)
-                for name in names)  # fmt: skip
+    moves = any(ops.is_command(name, code) or may_move(family_of(name), code) for name in names)
     return Scope.CONTROL if moves else Scope.WRITE
-
-
-def moves_as_setting(family: Family, code: Code) -> bool:
-    """Whether a setting says who controls a drive, or acts on its setpoints."""
-    info = family.info(code)
-    return (info is not None and info.control_source) or acts_on_setpoints(family, code)
 
 
 def require_target(target: str, ops: Operations) -> None:

@@ -54,6 +54,7 @@ __all__ = [
     "held_stop_codes",
     "held_stops",
     "is_enabled",
+    "may_move",
     "questions",
     "reset_steps",
     "shown_stops",
@@ -322,6 +323,18 @@ def acts_on_setpoints(family: Family, code: Code) -> bool:
         return False
     least = (rule.least for rule in family.verbs.setpoints if rule.least is not None)
     return any(code in _in_sets(family, one) for one in (*_speed_settings(family.verbs), *least))
+
+
+def may_move(family: Family, code: Code) -> bool:
+    """Return whether a write of a code can move a drive, or change how fast it runs.
+
+    Not only commands do that: a code that says who controls a drive (C0001, C0005, P420) hands a
+    running motor to its terminals, and one that limits or selects setpoints (C0011, C0127, P102,
+    P103) changes its speed. Nor is it known of a code that is not described.
+    """
+    info = family.info(code)
+    controls = info is not None and info.control_source
+    return controls or family.is_command(code) or acts_on_setpoints(family, code)
 
 
 def _in_sets(family: Family, code: Code) -> list[Code]:

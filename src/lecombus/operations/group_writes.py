@@ -10,7 +10,7 @@ its members are read back.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from decimal import Decimal
 
 from lecombus.drive_state.control_word import unknown_until_ended
@@ -88,6 +88,10 @@ class GroupWrites:
         expires_at_s = None if expires_s is None else self._context.clock() + expires_s
         members = self._context.group(group).members
         marks = {name: self._context.stop_marks.mark(name) for name in members}
+        since = {
+            name: self._context.stop_marks.before_write(self._context.requests.station(name), code)
+            for name in members
+        }
         await self._context.shown_stops.see(group, code, value)
         stations, wires = self._permitted_all(group, code, value)
         pairs = zip(stations, wires, strict=True)
@@ -102,7 +106,12 @@ class GroupWrites:
                 return group_report(group, "one-by-one", known)
             # They may have changed during the read.
             stations, wires = self._permitted_all(group, code, value)
-        there = self._unless_stopped(stations, code, there, marks)
+        # A stop is sent behind another one: it may be the stronger.
+        outdated = {
+            one.name for one, wire in zip(stations, wires, strict=True)
+            if since[one.name]() and not asks_to_stop(one.family, code, wire)
+        }  # fmt: skip
+        there = self._unless_stopped(stations, code, there, marks, outdated)
         to = self._shared(group, stations, code, wires, there)
         if to is None:
             read_back = bool(verify)
@@ -124,12 +133,14 @@ class GroupWrites:
         code: Code,
         there: Sequence[WriteReport | None],
         marks: Mapping[str, str],
+        outdated: Container[str],
     ) -> list[WriteReport | None]:
         """End the write for members that were stopped since it was asked for."""
         stopped = {
             name
             for name, mark in marks.items()
             if self._context.stop_marks.is_outdated(name, mark)
+            or name in outdated
             or self._context.requests.stopped_since_asked(name)
         }
         return [

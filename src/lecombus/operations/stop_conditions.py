@@ -19,7 +19,7 @@ from lecombus.drive_state.readings import Quality
 from lecombus.drive_state.store import Store
 from lecombus.drives import StopAction, asks_to_stop
 from lecombus.drives.verb_facts import Known
-from lecombus.drives.verbs import acts_on_setpoints, held_stop_codes, held_stops
+from lecombus.drives.verbs import acts_on_setpoints, held_stop_codes, held_stops, may_move
 from lecombus.errors import ExchangeError, LineError, OperationError, ScheduleError
 from lecombus.fieldbus.requests import Station
 from lecombus.operations.awaited_requests import Requests
@@ -80,6 +80,16 @@ class StopMarks:
     def is_outdated(self, drive: str, mark: str) -> bool:
         """Whether a stop of the drive came after a mark that was taken in this run."""
         return mark != self.mark(drive)
+
+    def before_write(self, station: Station, code: Code) -> Callable[[], bool]:
+        """Return what says whether a plain write was to stop the drive since, and counts here.
+
+        It does for a write that can move the drive: that must not follow the stop.
+        """
+        lasting = self._requests.drives.lasting(station.name)
+        before = lasting.stops_and_writes
+        moves = may_move(station.family, code)
+        return lambda: moves and lasting.stops_and_writes != before
 
     def why_outdated(self, drive: str, mark: str) -> str:
         """Return why a mark that a client gave does not allow a write; empty if it does.

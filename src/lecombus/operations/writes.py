@@ -78,6 +78,7 @@ class Writes:
         station = self._context.station(drive)
         expires_at_s = None if expires_s is None else self._context.clock() + expires_s
         mark = self._context.stop_marks.mark(drive)
+        since = self._context.stop_marks.before_write(station, code)
         await self._context.shown_stops.see(drive, code, value)
         wire = self._context.permissions.permitted(drive, station, code, value, restoring=restoring)
         if not asks_to_stop(station.family, code, wire):
@@ -91,7 +92,7 @@ class Writes:
             if there is not None:
                 return there
             # The drive may have been stopped, changed or removed during the read.
-            if self._context.stop_marks.is_outdated(drive, mark):
+            if self._context.stop_marks.is_outdated(drive, mark) or since():
                 return stopped_first(drive, code)
             station = self._context.requests.station(drive)
             wire = self._context.permissions.permitted(

@@ -146,6 +146,7 @@ class Request:
         says: For a write: what it changes, such as a code; equal for two that change the same.
         halts: It is a plain write that stops its drives.
         lifts_nothing: Besides, it stops them in any state, and can lift no other stop.
+        may_move: It is a write that can move its drives.
 
     The fields after it belong to the schedule; no other module writes them.
     """
@@ -172,6 +173,7 @@ class Request:
     says: Hashable | None = None
     halts: bool = False
     lifts_nothing: bool = False
+    may_move: bool = False
     settled: bool = field(default=False, repr=False)
     # -- bookkeeping of the schedule ------------------------------------------------------------
     state: int = field(default=0, init=False, repr=False)  # OUT, QUEUED, DEFERRED, UNDER_WAY

@@ -301,19 +301,22 @@ class Waiting:
     def went_out(self, request: Request) -> None:
         """Note that a write was on the line: nothing asked for before it may undo it.
 
-        An earlier one can still wait: it was not answered and is to be said again, or had to be put
-        off. Behind a write that stops the drive it could let it run, or, as a quick stop behind an
-        inhibit, lift that stop; one that lets nothing go is said again all the same. So is one that
-        stops other drives, too.
+        An earlier one can still wait: it was not answered and is to be said again, had to be put
+        off, or is of a lower class. Behind a write that stops the drive it could let it run, as a
+        setting does that gives control to its terminals, or, as a quick stop behind an inhibit,
+        lift that stop. One that lets nothing go is said again all the same. So is one that stops
+        other drives, too. A setting of a lower class that moves nothing goes on.
         """
         for drive in self._reached(request):
             for other in drive.writes:
-                early = bool(other.attempts) or other.priority <= request.priority
-                if other.serial > request.serial or not early or (other.members and other.halts):
+                if other.serial > request.serial or (other.members and other.halts):
                     continue
-                if request.halts:
+                early = bool(other.attempts) or other.priority <= request.priority
+                if request.halts and (early or other.may_move):
                     other.overtaken = other.overtaken or ("" if other.lifts_nothing else STOPPED)
-                elif request.says is not None and other.says == request.says and not other.members:
+                elif request.halts or not early or other.members:
+                    continue
+                elif request.says is not None and other.says == request.says:
                     other.overtaken = other.overtaken or REPLACED
 
     def forget_key(self, request: Request) -> None:

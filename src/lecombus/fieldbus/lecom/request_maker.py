@@ -17,6 +17,7 @@ from typing import Final, NamedTuple
 from lecombus.drives import Family, StopAction, stop_steps
 from lecombus.drives.measured import SlowAnswers
 from lecombus.drives.stops import STOP_PATIENCE_S, asks_to_stop, stops_every_drive
+from lecombus.drives.verbs import may_move
 from lecombus.errors import OperationError
 from lecombus.fieldbus.costs import Cost, LineTiming
 from lecombus.fieldbus.lecom.address_codes import address_code
@@ -240,6 +241,7 @@ class LecomRequestMaker:
             says=code,
             halts=asks_to_stop(station.family, code, value),
             lifts_nothing=stops_every_drive(station.family, code, value),
+            may_move=may_move(station.family, code),
         )
 
     def read_back(
@@ -363,6 +365,7 @@ class LecomRequestMaker:
             says=code,
             halts=all(asks_to_stop(one.family, code, value) for one in members),
             lifts_nothing=all(stops_every_drive(one.family, code, value) for one in members),
+            may_move=any(may_move(one.family, code) for one in members),
         )
 
     def shared_form(self, stations: Sequence[Station], code: Code) -> AddressForm | None:
