@@ -284,6 +284,104 @@ def test_a_quick_stop_with_an_unknown_word_reads_it_first_and_changes_only_its_b
     assert job.step.value == Value.parse("H020C"), "bit 3 set, the reset bit 11 cleared"
 
 
+def doubtful(*asked: tuple[int, Form]) -> Duplicates:
+    """A line on which an answer came twice, and what another drive was asked for since."""
+    duplicates = Duplicates()
+    duplicates.came(b"150", -1.0)
+    for code, form in asked:
+        duplicates.asked(encode_code(Code(code), form), "another", -0.5)
+    return duplicates
+
+
+def learning(
+    words: str, duplicates: Duplicates, *, last: int | None = None, may_inhibit: bool = True
+) -> tuple[str, JobStep]:
+    """Answer what a quick stop learns, in the form asked for.
+
+    Returns:
+        The forms in which the control word was asked for, and what is sent then.
+    """
+    job = StopJob(
+        STATION, StopAction.QUICK_STOP, word=lambda: None, last_word=lambda: last, retries=1,
+        may_inhibit=may_inhibit, duplicates=duplicates,
+    )  # fmt: skip
+    asked, left = "", words.split()
+    while job.step.kind is StepKind.READ:
+        form = job.step.form or Form.STANDARD
+        asked += form.value[0]
+        field = encode_code(job.step.code, form)
+        job.advance(answered(ValueAnswer(field, Value.parse(left.pop(0)))))
+    assert not left
+    return asked, job.step
+
+
+BOTH = ((135, Form.STANDARD), (135, Form.EXTENDED))
+INHIBIT = JobStep(StepKind.WRITE, Code(40), Value.parse("0"))
+
+
+@pytest.mark.parametrize(
+    ("words", "asked", "said"),
+    [
+        ("H0004 H0004", "se", "H000C"),
+        ("H0000 H0004 H0004", "ses", "H000C"),
+        ("H0000 H0004 H0000 H0000", "sese", "H0008"),
+    ],
+)
+def test_where_answers_come_twice_a_word_is_taken_that_reads_the_same_in_both_forms(
+    words: str, asked: str, said: str
+) -> None:
+    """The second answer of another drive has that one's direction in it."""
+    forms, step = learning(words, doubtful(*BOTH))
+    assert (forms, step.code, str(step.value and step.value.raw)) == (asked, Code(135), said)
+
+
+def test_or_one_that_is_as_it_was_known_last_but_for_the_inhibit() -> None:
+    forms, step = learning("H0204", doubtful(*BOTH), last=0x0004)
+    assert (forms, step.value) == ("s", Value.parse("H020C"))
+
+
+@pytest.mark.parametrize(("last", "said"), [(None, None), (0x0004, "H000C")])
+def test_where_no_two_agree_it_becomes_an_inhibit_or_is_made_from_what_was_known_last(
+    last: int | None, said: str | None
+) -> None:
+    words = "H0000 H0001 H0002 H0003"
+    assert learning(words, doubtful(*BOTH), last=None) == ("sese", INHIBIT)
+    if said is not None:
+        asked, step = learning(words, doubtful(*BOTH), last=last, may_inhibit=False)
+        assert (asked, step.value) == ("sese", Value.parse(said))
+
+
+def test_a_word_that_no_other_drive_was_asked_for_in_that_form_is_taken_at_once() -> None:
+    forms, step = learning("H0004", doubtful((135, Form.EXTENDED), (46, Form.STANDARD)))
+    assert (forms, step.value) == ("s", Value.parse("H000C"))
+
+
+@pytest.mark.parametrize("acknowledged", [True, False])
+@pytest.mark.parametrize("form", [Form.STANDARD, Form.EXTENDED])
+def test_a_reading_proves_a_multicast_in_the_form_that_the_drive_before_was_not_asked_in(
+    form: Form, acknowledged: bool
+) -> None:
+    """It comes in the other form where a late answer of a dead drive may still come in this one."""
+    duplicates = Duplicates()
+    duplicates.asked(encode_code(Code(150), Form.STANDARD), "dead", -0.2)
+    duplicates.asked(encode_code(Code(150), Form.EXTENDED), "before", -0.1)
+    job = StopJob(
+        STATION, StopAction.INHIBIT, word=lambda: None, retries=1, said=not acknowledged,
+        duplicates=duplicates,
+    )  # fmt: skip
+    if acknowledged:
+        assert job.advance(RESULTS["ack"]) is None
+    assert job.step.form is Form.STANDARD, "longest ago"
+    answer = ValueAnswer(encode_code(Code(150), form), Value.parse("H0080"))
+    verdict = job.advance(answered(answer))
+    if acknowledged or form is Form.STANDARD:
+        assert verdict is not None
+        assert verdict[0] is VERIFIED
+    else:
+        assert verdict is None
+        assert (job.step.kind, job.step.code) == (StepKind.WRITE, Code(40)), "to it alone"
+
+
 @pytest.mark.parametrize("results", ["none", "garbled", "eot eot", "other"])
 def test_a_word_that_cannot_be_read_makes_an_inhibit_of_the_quick_stop(results: str) -> None:
     job = StopJob(STATION, StopAction.QUICK_STOP, word=lambda: None, retries=2)

@@ -4,7 +4,8 @@ A quick stop changes one bit of the control word, and must not wait for reading 
 is the line's only master, so the word it last read or wrote is the word the drive holds, until
 the drive restarts: it is forgotten whenever a drive goes offline or is audited again. It is also
 forgotten when a write that changes it went unanswered, or went to a code that moves bits of it: a
-quick stop made from an old word could lift an inhibit (EDB2102EN 8.2, C0135 bit 9).
+quick stop made from an old word could lift an inhibit (EDB2102EN 8.2, C0135 bit 9). So it is when
+it reads otherwise than it was known, until it is read again.
 
 No manual says that a read of the control word shows an inhibit that C0040, the watchdog or the
 keypad set. A drive may as well give back what was last written to it, and a quick stop made from
@@ -96,7 +97,14 @@ class ControlWord:
             self._free_at_s = None
         self._heard_at_s = at_s
 
-    def seen(self, code: Code, value: Value, at_s: float | None = None) -> None:
+    def seen(
+        self,
+        code: Code,
+        value: Value,
+        at_s: float | None = None,
+        *,
+        may_be_anothers: bool = False,
+    ) -> None:
         """Take a value that was read.
 
         While a write that moves the word has not ended, what is read may be from before it.
@@ -106,17 +114,26 @@ class ControlWord:
             value: The value.
             at_s: When the telegram to the drive began, monotonic seconds; None: now. The daemon may
                 look at its answer much later, when the drive's watchdog has acted.
+            may_be_anothers: Answers come twice on this line: it may be the word of another drive,
+                whose direction or fixed speed must not be written to this one.
         """
         if code in self._proofs:
             self._look_for_inhibit(code, value, self._clock() if at_s is None else at_s)
-        self._keep(code, value)
+        if not may_be_anothers:
+            self._keep(code, value)
 
     def _keep(self, code: Code, value: Value) -> None:
         if self._code != code or self._moving:
             return
         word = usable_word(value.word)
-        if word is not None:
-            self._word = self._last_word = word
+        if word is None:
+            return
+        if self._word is not None and self._word != word:
+            # Something that is not the line has changed it, or it is the first answer that comes
+            # twice, and another drive's: the next reading says.
+            self._word = None
+            return
+        self._word = self._last_word = word
 
     def _look_for_inhibit(self, code: Code, value: Value, at_s: float) -> None:
         shown = self._proofs[code].shown_by(value)

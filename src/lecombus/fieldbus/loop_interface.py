@@ -138,6 +138,8 @@ class ExchangeReport:
         members: For a multicast: the drives it reached.
         address: The address that was used; the name may belong to another device by now.
         attempt: Which exchange of its request it was, 1 for the first.
+        may_be_anothers: The value may be the second answer of another drive: answers come twice on
+            this line, and another drive was asked for the same lately.
     """
 
     drive: str
@@ -149,6 +151,7 @@ class ExchangeReport:
     members: tuple[str, ...] = ()
     address: int = 0
     attempt: int = 1
+    may_be_anothers: bool = False
 
 
 class Observer(Protocol):

@@ -144,10 +144,10 @@ class VerbSteps:
         word = self._context.control_word(name).get()
         if word is None:
             raise OperationError(
-                f"the control word {step.code} of {name} cannot be read, or others keep writing "
-                "it: its bits are not guessed",
+                f"the control word {step.code} of {name} cannot be read, others keep writing it, "
+                "or answers come twice on this line: its bits are not guessed",
                 kind="no-control-word", drive=name, code=str(step.code),
-                remedy="ask again when nobody else writes it",
+                remedy="ask again when nobody else writes it; see the remarks of the line",
             )  # fmt: skip
         if step.applied(word) == word and not step.always:
             return WriteReport(name, step.code, Outcome.DONE)

@@ -205,7 +205,9 @@ def record_control_words(event: ExchangeEvent) -> None:
             else:
                 word.written(event.code, event.written, heard=event.acknowledged, at_s=began_s)
     if event.read is not None:
-        event.drives[0].control_word.seen(event.code, event.read, began_s)
+        event.drives[0].control_word.seen(
+            event.code, event.read, began_s, may_be_anothers=event.report.may_be_anothers
+        )
     if event.answered and event.drives:
         event.drives[0].control_word.heard(began_s)
 

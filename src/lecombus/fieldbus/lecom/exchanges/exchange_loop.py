@@ -72,7 +72,7 @@ class DeferredReports:
 
     def __init__(self) -> None:
         self.reports: list[ExchangeReport] = []
-        self._unsettled: tuple[Request, Job, PreparedTelegram, Result] | None = None
+        self._unsettled: tuple[Request, Job, PreparedTelegram, Result, bool] | None = None
 
     def report(
         self,
@@ -81,17 +81,23 @@ class DeferredReports:
         prepared: PreparedTelegram,
         result: Result,
         quarantined_s: float,
+        may_be_anothers: bool,
     ) -> None:
         """Keep the report of an exchange whose request is handled by the caller."""
         self._settle()
-        self._keep(request, job, prepared, result, quarantined_s)
+        self._keep(request, job, prepared, result, quarantined_s, may_be_anothers)
 
     def put_off(
-        self, request: Request, job: Job, prepared: PreparedTelegram, result: Result
+        self,
+        request: Request,
+        job: Job,
+        prepared: PreparedTelegram,
+        result: Result,
+        may_be_anothers: bool,
     ) -> None:
         """Keep a read that returned its value; `publish` settles it."""
         self._settle()
-        self._unsettled = (request, job, prepared, result)
+        self._unsettled = (request, job, prepared, result, may_be_anothers)
 
     def publish(self, observer: Observer) -> None:
         """Settle the postponed read and report each exchange to the observer."""
@@ -105,9 +111,9 @@ class DeferredReports:
     def _settle(self) -> None:
         if self._unsettled is None:
             return
-        request, job, prepared, result = self._unsettled
+        request, job, prepared, result, may_be_anothers = self._unsettled
         self._unsettled = None
-        self._keep(request, job, prepared, result, 0.0)
+        self._keep(request, job, prepared, result, 0.0, may_be_anothers)
         outcome = job.advance(result)
         assert outcome is not None, "a value ends a read"
         request.end(*outcome)
@@ -119,6 +125,7 @@ class DeferredReports:
         prepared: PreparedTelegram,
         result: Result,
         quarantined_s: float,
+        may_be_anothers: bool,
     ) -> None:
         station, step = job.station, job.step
         is_write = step.kind is StepKind.WRITE
@@ -139,6 +146,7 @@ class DeferredReports:
                 request.members,
                 station.address,
                 request.attempts,
+                may_be_anothers,
             )
         )
 
@@ -519,7 +527,7 @@ class LecomExchangeLoop:
         self.exchanges += 1
         self._bus_idle.exchange_ended(result.ended_s)
         self._heard()
-        self._deferred.put_off(*done, result)
+        self._deferred.put_off(*done, result, self._may_be_anothers(done, result))
         self._schedule.follow(done[0], result.started_s, result.ended_s, now)
         self.under_way = ready
         self._begin(ready[2], now, loss)
@@ -538,10 +546,11 @@ class LecomExchangeLoop:
             self.ready = None  # the result may change what is sent next: choose again
         quarantined_s = self._after(request, job, prepared, result)
         self._schedule.finished(request, result.started_s, ended + quarantined_s, answered)
+        anothers = self._may_be_anothers((request, job, prepared), result)
         if type(result.answer) is ValueAnswer and type(job) is ReadJob:
-            self._deferred.put_off(request, job, prepared, result)
+            self._deferred.put_off(request, job, prepared, result, anothers)
             return
-        self._deferred.report(request, job, prepared, result, quarantined_s)
+        self._deferred.report(request, job, prepared, result, quarantined_s, anothers)
         if prepared.hold_s and result.kind is not ResultKind.LOST:
             # The drive may have taken the write although its answer was damaged or missing.
             taken_s = ended if answered else min(ended, result.started_s + prepared.ask.late_s)
@@ -567,6 +576,13 @@ class LecomExchangeLoop:
         for field in result.others:
             if self._late_answers.blocked_until_s(field, result.started_s) <= result.started_s:
                 self.duplicates.came(field, result.ended_s)
+
+    def _may_be_anothers(self, done: PreparedStep, result: Result) -> bool:
+        """Whether a value may be another drive's; asked before the next telegram is sent."""
+        if type(result.answer) is not ValueAnswer:
+            return False
+        field, name = done[2].ask.field, done[1].station.name
+        return self.duplicates.may_be_anothers(field, name, result.started_s)
 
     def _after(
         self, request: Request, job: Job, prepared: PreparedTelegram, result: Result

@@ -13,6 +13,10 @@ nothing for a second is no reason to leave a running drive running. After the fi
 there are pauses, in which the watchdogs of the others are fed. Where nothing may be read because an
 old answer may still come, it is sent again.
 
+Where answers come twice on the line, a control word that is read may be another drive's, with that
+one's direction and fixed speed. It is taken if it is as this drive's was known last, or reads the
+same in both addressing forms.
+
 A quick stop that is not possible becomes an inhibit, with the reason: when the control word cannot
 be read, when the drive refuses the telegram again and again, when it takes it and does not show it.
 Only inhibit is possible in every operating mode (EDB2102EN 6.2.1).
@@ -46,6 +50,7 @@ from lecombus.fieldbus.requests import JobStep, Station, StepKind, StopWork, Ver
 from lecombus.parameters import Code, Value
 from lecombus.schedule.request import Outcome
 
+from ..protocol.addressing import encode_code
 from ..protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer, ValueAnswer
 from .jobs import error_of
 from .late_answers import Duplicates
@@ -63,6 +68,9 @@ seconds: on a full line each of them may wait for a round of feeds."""
 UNSHOWN_S = 1.0
 """A quick stop that was acknowledged gets this long to show before it is taken for without effect,
 seconds: with shortened response time a 820X takes a value up 230 ms later (EDB2102EN 6.3.2)."""
+
+MOST_UNSURE = 4
+"""Where a control word may be another drive's, it is read so often until two readings agree."""
 
 NO_FALLBACK = "; it was not inhibited instead: the roster says stop_fallback: none"
 
@@ -137,6 +145,7 @@ class StopJob(StopWork):
         self._times = times
         self.proof: Value | None = None
         self.proof_code: Code | None = None
+        self._duplicates = duplicates
         self._proving = ReadBackProof(duplicates, silent=silent, offline=offline)
         self.error: ExchangeError | None = None
         self._since_s: float | None = None
@@ -145,6 +154,8 @@ class StopJob(StopWork):
         self._repeats, self._learning = repeats, False
         self._read_word: int | None = None  # read for the telegram that comes next
         self._read_inhibit: bool | None = None  # likewise
+        self._unsure: tuple[bytes, int] | None = None  # field and word that may be another drive's
+        self._unsure_reads = 0
         # In a row: sayings without an acknowledgement, reads that failed, refusals, and proofs that
         # did not show the stop.
         self._unheard = self._failed_reads = self._naks = self._unshown = 0
@@ -312,8 +323,12 @@ class StopJob(StopWork):
         return self._saying(word)
 
     def _to_learn(self, code: Code) -> JobStep:
-        self._learning = True
-        return JobStep(StepKind.READ, code)
+        """Read it; a word that may be another drive's once more, in the other form."""
+        self._learning, unsure, form = True, self._unsure, None
+        if unsure is not None and code == self._word_code:
+            forms = [one for one in self.station.forms if one.carries(code)]
+            form = next((one for one in forms if encode_code(code, one) != unsure[0]), None)
+        return JobStep(StepKind.READ, code, form=form)
 
     def _saying(self, word: int | None) -> JobStep:
         code, value = stop_value(self.station.family, self.action, word)
@@ -346,24 +361,53 @@ class StopJob(StopWork):
         self._learning = False
         answer = result.answer
         value = answer.value if type(answer) is ValueAnswer else None
-        if value is not None and self._takes(step.code, value):
-            self._failed_reads = 0
+        is_sure = type(answer) is not ValueAnswer or self._is_sure(step, answer, result.started_s)
+        if not is_sure and self._unsure_reads < MOST_UNSURE and not over:
+            return None
+        if is_sure and value is not None and self._takes(step.code, value):
+            self._failed_reads, self._unsure, self._unsure_reads = 0, None, 0
             return None
         self._failed_reads += 1
         unknown = type(answer) is UnknownCodeAnswer
         self._turn(refused=unknown)
         if not self.may_inhibit:
-            if self._says_unread(value, over) or not over:
+            if self._says_unread(value if is_sure else None, over or not is_sure) or not over:
                 return None
+            why = self._unreadable(step, result, value) if is_sure else self._anothers(step)
             outcome = Outcome.UNKNOWN if self.attempts else Outcome.REFUSED
-            return outcome, f"{self.action} {self._unreadable(step, result, value)}{NO_FALLBACK}"
+            return outcome, f"{self.action} {why}{NO_FALLBACK}"
         if unknown and self._turned:
             return None
         said = result.kind is ResultKind.ANSWERED and type(answer) is not NakAnswer
         asked_enough = said or self._failed_reads > self.retries
         if not self.attempts or asked_enough or over:
-            self._inhibit(self._unreadable(step, result, value), result.ended_s)
+            why = self._unreadable(step, result, value) if is_sure else self._anothers(step)
+            self._inhibit(why, result.ended_s)
         return None
+
+    def _is_sure(self, step: JobStep, answer: ValueAnswer, asked_s: float) -> bool:
+        """Whether a value is this drive's; a control word may be another drive's second answer."""
+        word, duplicates = usable_word(answer.value.word), self._duplicates
+        if step.code != self._word_code or word is None or duplicates is None:
+            return True
+        if not duplicates.may_be_anothers(answer.field, self.station.name, asked_s):
+            return True
+        known, mask = self.last_word(), inhibit_mask(self.station.family, step.code)
+        if known is not None and not (known ^ word) & ~mask:
+            return True
+        before, self._unsure = self._unsure, (answer.field, word)
+        self._unsure_reads += 1
+        return before is not None and before[0] != answer.field and before[1] == word
+
+    @staticmethod
+    def _anothers(step: JobStep) -> str:
+        """Return why a control word that was read is not used."""
+        return f"needs {step.code}, and answers come twice on this line: it may be another drive's"
+
+    @property
+    def _word_code(self) -> Code:
+        """The code of the control word that the stop is made from."""
+        return self.station.family.stops[self.action].code
 
     def _says_unread(self, value: Value | None, over: bool) -> bool:
         """Say the quick stop with the last known word from now on, if there is nothing better.
