@@ -10,7 +10,7 @@ its members are read back.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from decimal import Decimal
 
 from lecombus.drive_state.control_word import unknown_until_ended
@@ -87,11 +87,7 @@ class GroupWrites:
         """
         expires_at_s = None if expires_s is None else self._context.clock() + expires_s
         members = self._context.group(group).members
-        marks = {name: self._context.stop_marks.mark(name) for name in members}
-        since = {
-            name: self._context.stop_marks.before_write(self._context.requests.station(name), code)
-            for name in members
-        }
+        before = {name: self._before_write(name, code) for name in members}
         await self._context.shown_stops.see(group, code, value)
         stations, wires = self._permitted_all(group, code, value)
         pairs = zip(stations, wires, strict=True)
@@ -106,12 +102,7 @@ class GroupWrites:
                 return group_report(group, "one-by-one", known)
             # They may have changed during the read.
             stations, wires = self._permitted_all(group, code, value)
-        # A stop is sent behind another one: it may be the stronger.
-        outdated = {
-            one.name for one, wire in zip(stations, wires, strict=True)
-            if since[one.name]() and not asks_to_stop(one.family, code, wire)
-        }  # fmt: skip
-        there = self._unless_stopped(stations, code, there, marks, outdated)
+        there = self._unless_stopped(stations, code, wires, there, before)
         to = self._shared(group, stations, code, wires, there)
         if to is None:
             read_back = bool(verify)
@@ -127,26 +118,31 @@ class GroupWrites:
         reports = await self._write_shared(to, stations, code, wires[0], expires_at_s, verify)
         return group_report(group, "multicast", reports)
 
+    def _before_write(self, name: str, code: Code) -> tuple[str, Callable[[], bool]]:
+        """Give what says later whether a member was stopped since: by a stop, by a plain write."""
+        marks = self._context.stop_marks
+        return marks.mark(name), marks.before_write(self._context.requests.station(name), code)
+
     def _unless_stopped(
         self,
         stations: Sequence[Station],
         code: Code,
+        wires: Sequence[Value],
         there: Sequence[WriteReport | None],
-        marks: Mapping[str, str],
-        outdated: Container[str],
+        before: Mapping[str, tuple[str, Callable[[], bool]]],
     ) -> list[WriteReport | None]:
-        """End the write for members that were stopped since it was asked for."""
-        stopped = {
-            name
-            for name, mark in marks.items()
-            if self._context.stop_marks.is_outdated(name, mark)
-            or name in outdated
-            or self._context.requests.stopped_since_asked(name)
-        }
-        return [
-            stopped_first(one.name, code) if one.name in stopped else known
-            for one, known in zip(stations, there, strict=True)
-        ]
+        """End the write for members that were stopped since it was asked for.
+
+        One that stops is sent behind a plain write that did: it may be the stronger of them.
+        """
+        marks, requests = self._context.stop_marks, self._context.requests
+        reports = list(there)
+        for index, (one, wire) in enumerate(zip(stations, wires, strict=True)):
+            mark, was_stopped = before[one.name]
+            stopped = marks.is_outdated(one.name, mark) or requests.stopped_since_asked(one.name)
+            if stopped or (was_stopped() and not asks_to_stop(one.family, code, wire)):
+                reports[index] = stopped_first(one.name, code)
+        return reports
 
     def _shared(
         self,

@@ -13,9 +13,8 @@ nothing for a second is no reason to leave a running drive running. After the fi
 there are pauses, in which the watchdogs of the others are fed. Where nothing may be read because an
 old answer may still come, it is sent again.
 
-Where answers come twice on the line, a control word that is read may be another drive's, with that
-one's direction and fixed speed. It is taken if it is as this drive's was known last, or reads the
-same in both addressing forms.
+Where answers come twice on the line, a control word that is read may be another drive's
+(`learnt_word`).
 
 A quick stop that is not possible becomes an inhibit, with the reason: when the control word cannot
 be read, when the drive refuses the telegram again and again, when it takes it and does not show it.
@@ -50,10 +49,10 @@ from lecombus.fieldbus.requests import JobStep, Station, StepKind, StopWork, Ver
 from lecombus.parameters import Code, Value
 from lecombus.schedule.request import Outcome
 
-from ..protocol.addressing import encode_code
 from ..protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer, ValueAnswer
 from .jobs import error_of
 from .late_answers import Duplicates
+from .learnt_word import LearntWord
 from .read_back_proof import ReadBackProof
 
 __all__ = ["LongestTimes", "StopJob"]
@@ -68,9 +67,6 @@ seconds: on a full line each of them may wait for a round of feeds."""
 UNSHOWN_S = 1.0
 """A quick stop that was acknowledged gets this long to show before it is taken for without effect,
 seconds: with shortened response time a 820X takes a value up 230 ms later (EDB2102EN 6.3.2)."""
-
-MOST_UNSURE = 4
-"""Where a control word may be another drive's, it is read so often until two readings agree."""
 
 NO_FALLBACK = "; it was not inhibited instead: the roster says stop_fallback: none"
 
@@ -145,17 +141,13 @@ class StopJob(StopWork):
         self._times = times
         self.proof: Value | None = None
         self.proof_code: Code | None = None
-        self._duplicates = duplicates
+        self._learnt = LearntWord(station.family.stops[action].code, duplicates)
         self._proving = ReadBackProof(duplicates, silent=silent, offline=offline)
         self.error: ExchangeError | None = None
         self._since_s: float | None = None
         self._ended_s = -math.inf  # its last exchange
         self._checking, self._least_sayings = said, LEAST_STOP_ATTEMPTS - said
         self._repeats, self._learning = repeats, False
-        self._read_word: int | None = None  # read for the telegram that comes next
-        self._read_inhibit: bool | None = None  # likewise
-        self._unsure: tuple[bytes, int] | None = None  # field and word that may be another drive's
-        self._unsure_reads = 0
         # In a row: sayings without an acknowledgement, reads that failed, refusals, and proofs that
         # did not show the stop.
         self._unheard = self._failed_reads = self._naks = self._unshown = 0
@@ -216,8 +208,7 @@ class StopJob(StopWork):
     @property
     def _is_ready(self) -> bool:
         """Whether what comes next was made from what has just been read or refused."""
-        read = self._read_word is not None or self._read_inhibit is not None
-        return read or self._step is not None
+        return self._learnt.is_there or self._step is not None
 
     @property
     def pause_s(self) -> float:
@@ -271,7 +262,7 @@ class StopJob(StopWork):
         over = result.ended_s - self._since_s >= self.patience_s
         over = over and (bool(self.attempts) or not self.may_inhibit)
         if self._learning:
-            return self._learnt(step, result, over)
+            return self._has_read(step, result, over)
         if self._checking:
             return self._checked(step, result, over)
         self.attempts += 1
@@ -309,26 +300,23 @@ class StopJob(StopWork):
         if self._unread_word is not None:
             return self._saying(self._unread_word)
         word = usable_word(self.word())
-        word = self._read_word if word is None else word
+        word = self._learnt.word if word is None else word
         if word is None:
             return self._to_learn(code)
         mask = inhibit_mask(family, code)
         if not word & mask:
             inhibited = self.inhibited()
-            inhibited = self._read_inhibit if inhibited is None else inhibited
+            inhibited = self._learnt.inhibited if inhibited is None else inhibited
             if inhibited is None:
                 return self._to_learn(next(iter(inhibit_proofs(family))))
             word |= mask if inhibited else 0
-        self._read_word = self._read_inhibit = None
+        self._learnt.forget()
         return self._saying(word)
 
     def _to_learn(self, code: Code) -> JobStep:
         """Read it; a word that may be another drive's once more, in the other form."""
-        self._learning, unsure, form = True, self._unsure, None
-        if unsure is not None and code == self._word_code:
-            forms = [one for one in self.station.forms if one.carries(code)]
-            form = next((one for one in forms if encode_code(code, one) != unsure[0]), None)
-        return JobStep(StepKind.READ, code, form=form)
+        self._learning = True
+        return JobStep(StepKind.READ, code, form=self._learnt.form(self.station, code))
 
     def _saying(self, word: int | None) -> JobStep:
         code, value = stop_value(self.station.family, self.action, word)
@@ -344,14 +332,14 @@ class StopJob(StopWork):
         self._why = f"{self.action} {why}; "
         self._learning = self._checking = self._repeats = False
         self._proving.begin()
-        self._read_word = self._read_inhibit = None
+        self._learnt.forget()
         self._unheard = self._unshown = 0
         self.action = StopAction.INHIBIT
         self._step = self._saying(None)
         if now_s is not None and self._since_s is not None:
             self._since_s = max(self._since_s, now_s - STOP_PATIENCE_S + LEAST_INHIBIT_S)
 
-    def _learnt(self, step: JobStep, result: Result, over: bool) -> Verdict:
+    def _has_read(self, step: JobStep, result: Result, over: bool) -> Verdict:
         """Keep what the stop is made of: the word, or whether the drive is inhibited.
 
         A drive that this job has sent no stop is inhibited after one read that fails, also where a
@@ -361,19 +349,21 @@ class StopJob(StopWork):
         self._learning = False
         answer = result.answer
         value = answer.value if type(answer) is ValueAnswer else None
-        is_sure = type(answer) is not ValueAnswer or self._is_sure(step, answer, result.started_s)
-        if not is_sure and self._unsure_reads < MOST_UNSURE and not over:
+        is_own = type(answer) is not ValueAnswer or self._learnt.is_own(
+            self.station, step.code, answer, result.started_s, self.last_word()
+        )
+        if not is_own and self._learnt.may_be_asked_again and not over:
             return None
-        if is_sure and value is not None and self._takes(step.code, value):
-            self._failed_reads, self._unsure, self._unsure_reads = 0, None, 0
+        if is_own and value is not None and self._learnt.take(self.station, step.code, value):
+            self._failed_reads = 0
             return None
         self._failed_reads += 1
         unknown = type(answer) is UnknownCodeAnswer
         self._turn(refused=unknown)
         if not self.may_inhibit:
-            if self._says_unread(value if is_sure else None, over or not is_sure) or not over:
+            if self._says_unread(value if is_own else None, over or not is_own) or not over:
                 return None
-            why = self._unreadable(step, result, value) if is_sure else self._anothers(step)
+            why = self._unreadable(step, result, value) if is_own else self._anothers(step)
             outcome = Outcome.UNKNOWN if self.attempts else Outcome.REFUSED
             return outcome, f"{self.action} {why}{NO_FALLBACK}"
         if unknown and self._turned:
@@ -381,33 +371,14 @@ class StopJob(StopWork):
         said = result.kind is ResultKind.ANSWERED and type(answer) is not NakAnswer
         asked_enough = said or self._failed_reads > self.retries
         if not self.attempts or asked_enough or over:
-            why = self._unreadable(step, result, value) if is_sure else self._anothers(step)
+            why = self._unreadable(step, result, value) if is_own else self._anothers(step)
             self._inhibit(why, result.ended_s)
         return None
-
-    def _is_sure(self, step: JobStep, answer: ValueAnswer, asked_s: float) -> bool:
-        """Whether a value is this drive's; a control word may be another drive's second answer."""
-        word, duplicates = usable_word(answer.value.word), self._duplicates
-        if step.code != self._word_code or word is None or duplicates is None:
-            return True
-        if not duplicates.may_be_anothers(answer.field, self.station.name, asked_s):
-            return True
-        known, mask = self.last_word(), inhibit_mask(self.station.family, step.code)
-        if known is not None and not (known ^ word) & ~mask:
-            return True
-        before, self._unsure = self._unsure, (answer.field, word)
-        self._unsure_reads += 1
-        return before is not None and before[0] != answer.field and before[1] == word
 
     @staticmethod
     def _anothers(step: JobStep) -> str:
         """Return why a control word that was read is not used."""
         return f"needs {step.code}, and answers come twice on this line: it may be another drive's"
-
-    @property
-    def _word_code(self) -> Code:
-        """The code of the control word that the stop is made from."""
-        return self.station.family.stops[self.action].code
 
     def _says_unread(self, value: Value | None, over: bool) -> bool:
         """Say the quick stop with the last known word from now on, if there is nothing better.
@@ -421,15 +392,6 @@ class StopJob(StopWork):
         self._failed_reads = 0
         self._why = "made from the control word as it was known last; "
         return True
-
-    def _takes(self, code: Code, value: Value) -> bool:
-        """Keep a value that the next telegram needs; False: it is no such value."""
-        family = self.station.family
-        if code == family.stops[self.action].code:
-            self._read_word = usable_word(value.word)
-            return self._read_word is not None
-        self._read_inhibit = inhibit_proofs(family)[code].shown_by(value)
-        return self._read_inhibit is not None
 
     def _unreadable(self, step: JobStep, result: Result, value: Value | None) -> str:
         """Return why a control word, or whether the drive is inhibited, could not be learnt."""
