@@ -361,7 +361,7 @@ class StopJob(StopWork):
         unknown = type(answer) is UnknownCodeAnswer
         self._turn(refused=unknown)
         if not self.may_inhibit:
-            if self._says_unread(value if is_own else None, over or not is_own) or not over:
+            if self._says_unread(value, over, is_own=is_own) or not over:
                 return None
             why = self._unreadable(step, result, value) if is_own else self._anothers(step)
             outcome = Outcome.UNKNOWN if self.attempts else Outcome.REFUSED
@@ -380,17 +380,23 @@ class StopJob(StopWork):
         """Return why a control word that was read is not used."""
         return f"needs {step.code}, and answers come twice on this line: it may be another drive's"
 
-    def _says_unread(self, value: Value | None, over: bool) -> bool:
+    def _says_unread(self, value: Value | None, over: bool, *, is_own: bool) -> bool:
         """Say the quick stop with the last known word from now on, if there is nothing better.
 
-        A drive that hears and is not heard would else run on: it may not be inhibited.
+        A drive that hears and is not heard would else run on: it may not be inhibited. Nor may one
+        whose word was never known: a wrong direction is better than no stop.
         """
-        if value is None and (over or self._failed_reads > self.retries):
+        why = "made from the control word as it was known last; "
+        if not is_own or (value is None and (over or self._failed_reads > self.retries)):
             self._unread_word = self.last_word()
+        if self._unread_word is None and not is_own and value is not None:
+            mask = inhibit_mask(self.station.family, self.station.family.stops[self.action].code)
+            word = usable_word(value.word)
+            self._unread_word = word | mask if word is not None and self.inhibited() else word
+            why = "made from a control word that may be another drive's; "
         if self._unread_word is None:
             return False
-        self._failed_reads = 0
-        self._why = "made from the control word as it was known last; "
+        self._failed_reads, self._why = 0, why
         return True
 
     def _unreadable(self, step: JobStep, result: Result, value: Value | None) -> str:
