@@ -294,15 +294,16 @@ def doubtful(*asked: tuple[int, Form]) -> Duplicates:
 
 
 def learning(
-    words: str, duplicates: Duplicates, *, last: int | None = None, may_inhibit: bool = True
-) -> tuple[str, JobStep]:
+    words: str, duplicates: Duplicates, *, last: int | None = None, may_inhibit: bool = True,
+    station: Station = STATION,
+) -> tuple[str, JobStep]:  # fmt: skip
     """Answer what a quick stop learns, in the form asked for.
 
     Returns:
         The forms in which the control word was asked for, and what is sent then.
     """
     job = StopJob(
-        STATION, StopAction.QUICK_STOP, word=lambda: None, last_word=lambda: last, retries=1,
+        station, StopAction.QUICK_STOP, word=lambda: None, last_word=lambda: last, retries=1,
         may_inhibit=may_inhibit, duplicates=duplicates,
     )  # fmt: skip
     asked, left = "", words.split()
@@ -335,9 +336,26 @@ def test_where_answers_come_twice_a_word_is_taken_that_reads_the_same_in_both_fo
     assert (forms, step.code, str(step.value and step.value.raw)) == (asked, Code(135), said)
 
 
-def test_or_one_that_is_as_it_was_known_last_but_for_the_inhibit() -> None:
-    forms, step = learning("H0204", doubtful(*BOTH), last=0x0004)
-    assert (forms, step.value) == ("s", Value.parse("H020C"))
+@pytest.mark.parametrize(
+    ("last", "words", "asked", "said"),
+    [
+        (0x0204, "H0004", "s", "H000C"),
+        (0x0004, "H0004", "s", "H000C"),
+        (0x0004, "H0204 H0004", "se", "H000C"),  # a neighbour's inhibit, perhaps
+        (0x0004, "H0204 H0204", "se", "H020C"),
+    ],
+)
+def test_or_one_that_is_as_it_was_known_last_but_for_an_inhibit_that_has_ended(
+    last: int, words: str, asked: str, said: str
+) -> None:
+    forms, step = learning(words, doubtful(*BOTH), last=last)
+    assert (forms, step.value) == (asked, Value.parse(said))
+
+
+def test_a_drive_with_one_form_is_asked_twice_in_that_one() -> None:
+    station = dataclasses.replace(STATION, forms=(Form.STANDARD,))
+    forms, step = learning("H0000 H0004 H0004", doubtful(*BOTH), station=station)
+    assert (forms, step.value) == ("sss", Value.parse("H000C"))
 
 
 @pytest.mark.parametrize(("last", "said"), [(None, "H000B"), (0x0004, "H000C")])
@@ -354,32 +372,6 @@ def test_where_no_two_agree_it_becomes_an_inhibit_or_is_made_from_what_was_known
 def test_a_word_that_no_other_drive_was_asked_for_in_that_form_is_taken_at_once() -> None:
     forms, step = learning("H0004", doubtful((135, Form.EXTENDED), (46, Form.STANDARD)))
     assert (forms, step.value) == ("s", Value.parse("H000C"))
-
-
-@pytest.mark.parametrize("acknowledged", [True, False])
-@pytest.mark.parametrize("form", [Form.STANDARD, Form.EXTENDED])
-def test_a_reading_proves_a_multicast_in_the_form_that_the_drive_before_was_not_asked_in(
-    form: Form, acknowledged: bool
-) -> None:
-    """It comes in the other form where a late answer of a dead drive may still come in this one."""
-    duplicates = Duplicates()
-    duplicates.asked(encode_code(Code(150), Form.STANDARD), "dead", -0.2)
-    duplicates.asked(encode_code(Code(150), Form.EXTENDED), "before", -0.1)
-    job = StopJob(
-        STATION, StopAction.INHIBIT, word=lambda: None, retries=1, said=not acknowledged,
-        duplicates=duplicates,
-    )  # fmt: skip
-    if acknowledged:
-        assert job.advance(RESULTS["ack"]) is None
-    assert job.step.form is Form.STANDARD, "longest ago"
-    answer = ValueAnswer(encode_code(Code(150), form), Value.parse("H0080"))
-    verdict = job.advance(answered(answer))
-    if acknowledged or form is Form.STANDARD:
-        assert verdict is not None
-        assert verdict[0] is VERIFIED
-    else:
-        assert verdict is None
-        assert (job.step.kind, job.step.code) == (StepKind.WRITE, Code(40)), "to it alone"
 
 
 @pytest.mark.parametrize("results", ["none", "garbled", "eot eot", "other"])

@@ -83,12 +83,12 @@ def wrong_words(faults: str, seed: int, *, known: bool, action: StopAction) -> l
 
     async def test(plant: Plant) -> None:
         await plant.online(within_s=600.0)
+        plant.line.faults = parse_faults(faults)
+        await anyio.sleep(3.0)  # of the first second answer nothing is known yet (ADR 40)
         for n in range(6):
             word = f"H{word_of(n):04X}"
             report = await plant.site.operations.write(f"d{n}", Code(135), word)
             assert report.outcome.is_good
-        await anyio.sleep(2.0)
-        plant.line.faults = parse_faults(faults)
         await anyio.sleep(2.5)
         for n in range(6):
             if not known:

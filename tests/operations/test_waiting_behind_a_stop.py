@@ -136,6 +136,48 @@ def test_so_does_one_that_stops_a_group_and_ends_what_a_group_waits_for(
     with_plant(test, roster)
 
 
+@pytest.mark.parametrize("target", ["a", "two"])
+@pytest.mark.parametrize("stop", [(40, "0"), (135, "H0008")])
+@pytest.mark.parametrize(("code", "values"), [(1, (2, 0)), (127, (1, 0)), (11, (60, 70))])
+def test_a_stop_that_is_only_said_again_ends_no_setting(
+    code: int, values: tuple[int, int], stop: tuple[int, str], target: str
+) -> None:
+    """A PLC says its stop ten times a second; settings of a drive that stands are still written."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        await stop_plainly(plant, target, *stop)
+
+        async def say_again() -> None:
+            while True:
+                await stop_plainly(plant, target, *stop)
+                await anyio.sleep(0.02)
+
+        again = asyncio.create_task(say_again())
+        await anyio.sleep(0.5)
+        for value in values:
+            report = await plant.site.operations.write("a", Code(code), value)
+            assert report.outcome is Outcome.DONE, report
+            assert plant.line["a"].text(code) == str(value)
+        again.cancel()
+
+    with_plant(test, SHARED)
+
+
+def test_a_stop_behind_an_enable_is_not_only_said_again() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        operations = plant.site.operations
+        await stop_plainly(plant, "a", 135, "H0008")
+        assert (await operations.verb("a", Verb.ENABLE)).outcome is Outcome.VERIFIED
+        writing = asyncio.create_task(operations.write("a", Code(1), 0))
+        await anyio.lowlevel.checkpoint()
+        await stop_plainly(plant, "a", 135, "H0008")
+        assert (await writing).outcome is Outcome.SUPERSEDED
+
+    with_plant(test, SHARED)
+
+
 def test_a_group_is_inhibited_although_a_member_was_stopped_meanwhile() -> None:
     """The later of two plain stops is not ended by the earlier one: it is the stronger."""
 

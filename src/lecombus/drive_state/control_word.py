@@ -4,8 +4,7 @@ A quick stop changes one bit of the control word, and must not wait for reading 
 is the line's only master, so the word it last read or wrote is the word the drive holds, until
 the drive restarts: it is forgotten whenever a drive goes offline or is audited again. It is also
 forgotten when a write that changes it went unanswered, or went to a code that moves bits of it: a
-quick stop made from an old word could lift an inhibit (EDB2102EN 8.2, C0135 bit 9). So it is when
-it reads otherwise than it was known, until it is read again.
+quick stop made from an old word could lift an inhibit (EDB2102EN 8.2, C0135 bit 9).
 
 No manual says that a read of the control word shows an inhibit that C0040, the watchdog or the
 keypad set. A drive may as well give back what was last written to it, and a quick stop made from
@@ -52,9 +51,9 @@ class ControlWord:
     """
 
     __slots__ = (
-        "_clock", "_code", "_commanded", "_free_at_s", "_heard_at_s", "_last_free", "_last_word",
-        "_mask", "_moved_by", "_moving", "_proofs", "_said", "_shown", "_watchdog_inhibits",
-        "_watchdog_s", "_word",
+        "_clock", "_code", "_commanded", "_free_at_s", "_heard_at_s", "_last_free", "_last_said",
+        "_last_word", "_mask", "_moved_by", "_moving", "_proofs", "_said", "_shown",
+        "_watchdog_inhibits", "_watchdog_s", "_word",
     )  # fmt: skip
 
     def __init__(
@@ -79,6 +78,7 @@ class ControlWord:
         self._moving = 0  # writes under way that change it
         self._commanded = False  # an inhibit was sent and not shown yet
         self._said: dict[Code, Value] = {}  # what was written last since it was forgotten
+        self._last_said: tuple[Code, Value] | None = None  # the last of these, if it was heard
         self._shown: set[Code] = set()  # codes that showed an inhibit last
         self._free_at_s: float | None = None  # when something last showed that there is none
         self._heard_at_s: float | None = None  # when the drive last answered
@@ -115,11 +115,12 @@ class ControlWord:
             at_s: When the telegram to the drive began, monotonic seconds; None: now. The daemon may
                 look at its answer much later, when the drive's watchdog has acted.
             may_be_anothers: Answers come twice on this line: it may be the word of another drive,
-                whose direction or fixed speed must not be written to this one.
+                whose direction or fixed speed must not be written to this one. It is kept only
+                if it is as this drive's was known last.
         """
         if code in self._proofs:
             self._look_for_inhibit(code, value, self._clock() if at_s is None else at_s)
-        if not may_be_anothers:
+        if not may_be_anothers or value.word == self._last_word:
             self._keep(code, value)
 
     def _keep(self, code: Code, value: Value) -> None:
@@ -127,11 +128,6 @@ class ControlWord:
             return
         word = usable_word(value.word)
         if word is None:
-            return
-        if self._word is not None and self._word != word:
-            # Something that is not the line has changed it, or it is the first answer that comes
-            # twice, and another drive's: the next reading says.
-            self._word = None
             return
         self._word = self._last_word = word
 
@@ -162,6 +158,7 @@ class ControlWord:
         if code not in self._moved_by:
             return
         self._word, self._said[code] = None, value
+        self._last_said = (code, value) if heard else None
         if self._inhibits(code, value):
             self._command()
         else:
@@ -177,6 +174,7 @@ class ControlWord:
     def written_to_all(self, code: Code, value: Value) -> None:
         """Take a multicast that was sent: the word is taken as written, no more."""
         self.written(code, value, heard=False)
+        self._last_said = (code, value)
         self._keep(code, value)
 
     def inhibiting(self) -> None:
@@ -201,7 +199,7 @@ class ControlWord:
     def forget(self) -> None:
         """The word is not known any more, nor whether the drive is inhibited."""
         self._word = self._free_at_s = None
-        self._commanded = False
+        self._commanded, self._last_said = False, None
         self._said.clear()
         self._shown.clear()
 
@@ -218,6 +216,13 @@ class ControlWord:
     def moves(self, code: Code) -> bool:
         """Say whether a write to a code changes bits of the control word."""
         return code in self._moved_by
+
+    def repeats(self, code: Code, value: Value) -> bool:
+        """Say whether a write says again what the line said last to change the word.
+
+        Not while another write that changes it waits or is under way.
+        """
+        return not self._moving and self._last_said == (code, value)
 
     def said(self, code: Code) -> Value | None:
         """What the line wrote last to a code that changes it; None: nothing since it was away."""

@@ -305,6 +305,8 @@ class LastingRecord:
         stop_write_done: Waits for the end of that write and says whether it was done; None: it was
             not sent.
         stops_and_writes: How often it was to stop, by a stop or by a plain write.
+        stop_writes: How often by a plain write that did not say what was said last: a PLC may say
+            its stop ten times a second.
         lifts: How many plain writes may have lifted its inhibit.
         alone: The enable, the reset or the change of its address that is under way.
         awaited: What verbs wait for and a stop cuts short (`operations.verb_steps`).
@@ -319,6 +321,7 @@ class LastingRecord:
     stop_written_at_s: float = -math.inf
     stop_write_done: Callable[[], Awaitable[bool]] | None = None
     stops_and_writes: int = 0
+    stop_writes: int = 0
     lifts: int = 0
     alone: str = ""
     awaited: set[anyio.CancelScope] = field(default_factory=set)

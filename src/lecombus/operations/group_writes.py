@@ -326,6 +326,7 @@ class GroupWrites:
         motion = any(info is not None and info.motion for info in infos)
         ending = Ending()
         words = [self._context.control_word(one.name) for one in stations]
+        repeats = all(word.repeats(code, wire) for word in words)
         request = self._maker.multicast(
             group, stations, code, wire, Priority.CONTROL if motion else Priority.INTERACTIVE,
             settle=unknown_until_ended(words, code, ending.settle),
@@ -336,6 +337,7 @@ class GroupWrites:
         request.lease_ended = self._context.permissions.lease_check(
             stations, code, [wire] * len(stations)
         )
+        request.repeats = repeats
         self._context.requests.submit(request)
         for one in stations:
             if asks_to_stop(one.family, code, wire):

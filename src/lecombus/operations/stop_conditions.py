@@ -65,6 +65,7 @@ class StopMarks:
         if asks_to_stop(station.family, code, wire):
             lasting.stop_written_at_s, lasting.stop_write_done = self._clock(), None
             lasting.count_stop()
+            lasting.stop_writes += drive is None or not drive.control_word.repeats(code, wire)
         elif drive is not None and drive.control_word.moves(code):
             lasting.lifts += 1
 
@@ -84,12 +85,13 @@ class StopMarks:
     def before_write(self, station: Station, code: Code) -> Callable[[], bool]:
         """Return what says whether a plain write was to stop the drive since, and counts here.
 
-        It does for a write that can move the drive: that must not follow the stop.
+        It does for a write that can move the drive: that must not follow the stop. A stop that was
+        only said again does not count: the write was asked for behind it.
         """
         lasting = self._requests.drives.lasting(station.name)
-        before = lasting.stops_and_writes
+        before = lasting.stop_writes
         moves = may_move(station.family, code)
-        return lambda: moves and lasting.stops_and_writes != before
+        return lambda: moves and lasting.stop_writes != before
 
     def why_outdated(self, drive: str, mark: str) -> str:
         """Return why a mark that a client gave does not allow a write; empty if it does.

@@ -182,6 +182,7 @@ class Writes:
         ending = Ending()
         # From here on a stop must not use the stored control word: this write may change it.
         word = self._context.control_word(station.name)
+        repeats = word.repeats(code, wire)
         settle = unknown_until_ended((word,), code, ending.settle)
         ending.request = request = self._context.requests.maker.write(
             station, code, wire, settle=settle, verify=verify, expires_at_s=expires_at_s,
@@ -189,6 +190,7 @@ class Writes:
         )  # fmt: skip
         request.is_gone = None if goes_on else client_check(station, code, wire)
         request.lease_ended = self._context.permissions.lease_check((station,), code, (wire,), use)
+        request.repeats = repeats
         self._context.requests.submit(request)
         if asks_to_stop(station.family, code, wire):
             self._context.lasting(station.name).stop_write_done = ending.is_done

@@ -147,6 +147,7 @@ class Request:
         halts: It is a plain write that stops its drives.
         lifts_nothing: Besides, it stops them in any state, and can lift no other stop.
         may_move: It is a write that can move its drives.
+        repeats: It is a write that says again what its drives were told last.
 
     The fields after it belong to the schedule; no other module writes them.
     """
@@ -174,6 +175,7 @@ class Request:
     halts: bool = False
     lifts_nothing: bool = False
     may_move: bool = False
+    repeats: bool = False
     settled: bool = field(default=False, repr=False)
     # -- bookkeeping of the schedule ------------------------------------------------------------
     state: int = field(default=0, init=False, repr=False)  # OUT, QUEUED, DEFERRED, UNDER_WAY

@@ -305,14 +305,16 @@ class Waiting:
         off, or is of a lower class. Behind a write that stops the drive it could let it run, as a
         setting does that gives control to its terminals, or, as a quick stop behind an inhibit,
         lift that stop. One that lets nothing go is said again all the same. So is one that stops
-        other drives, too. A setting of a lower class that moves nothing goes on.
+        other drives, too. A setting of a lower class goes on where it moves nothing, or where the
+        stop is only said again: it was asked for behind the first.
         """
+        ends_settings = request.halts and not request.repeats
         for drive in self._reached(request):
             for other in drive.writes:
                 if other.serial > request.serial or (other.members and other.halts):
                     continue
                 early = bool(other.attempts) or other.priority <= request.priority
-                if request.halts and (early or other.may_move):
+                if request.halts and (early or (ends_settings and other.may_move)):
                     other.overtaken = other.overtaken or ("" if other.lifts_nothing else STOPPED)
                 elif request.halts or not early or other.members:
                     continue

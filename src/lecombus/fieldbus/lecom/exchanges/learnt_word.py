@@ -3,7 +3,8 @@
 Where answers come twice on the line, the word of another drive may come in the place of this
 one's, with that one's direction and fixed speed: an answer carries no address. A word is this
 drive's if no other drive was asked for the like lately, if it is as this drive's was known last,
-but for the inhibit, or if two readings in two addressing forms agree.
+but for an inhibit that has ended, or if two readings in a row agree, in two addressing forms where
+the drive knows two.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ class LearntWord:
         """Return the form to ask in: not that of the reading before; None: the station's first."""
         if self._before is None or code != self._code:
             return None
-        forms = [form for form in station.forms if form.carries(code)]
+        forms = _forms(station, code)
         return next((one for one in forms if encode_code(code, one) != self._before[0]), None)
 
     def is_own(
@@ -86,13 +87,20 @@ class LearntWord:
             return True
         if not duplicates.may_be_anothers(answer.field, station.name, asked_s):
             return True
-        if known is not None and not (known ^ word) & ~inhibit_mask(station.family, code):
-            return True
+        mask = inhibit_mask(station.family, code)
+        if known is not None and not (known ^ word) & ~mask and not word & ~known & mask:
+            return True  # an inhibit that only the reading has may be another drive's
         before, self._before = self._before, (answer.field, word)
         self._readings += 1
-        return before is not None and before[0] != answer.field and before[1] == word
+        if before is None or before[1] != word:
+            return False
+        return before[0] != answer.field or len(_forms(station, code)) == 1
 
     def forget(self) -> None:
         """Begin again: it was used, or is of no use any more."""
         self.word = self.inhibited = self._before = None
         self._readings = 0
+
+
+def _forms(station: Station, code: Code) -> list[AddressForm]:
+    return [form for form in station.forms if form.carries(code)]

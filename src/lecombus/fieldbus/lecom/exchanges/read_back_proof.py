@@ -2,8 +2,7 @@
 
 The usual proof is one reading that shows it. Consecutive proofs of several drives alternate
 the addressing form, which the answer repeats, so that a second copy of a neighbour's answer is not
-taken for the next drive's. Where that form may not be used now, the reading counts behind an
-acknowledgement by the drive itself only.
+taken for the next drive's.
 
 Where that is not enough (the drive did not answer before, or second answers came lately) it takes
 three things: an acknowledgement by the drive itself, two readings in two forms or of two codes, and
@@ -18,7 +17,6 @@ an acknowledgement that was lost is not asked for again.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -184,23 +182,10 @@ class ReadBackProof:
         if self._is_refused and not self.acknowledged:
             return False
         if not (self.silent or self._duplicates.doubtful(now_s)):
-            return bool(self._shown) and (self.acknowledged or self._alternates(station, what))
+            return bool(self._shown)
         if not self._is_shown_by_itself(station, what, now_s):
             return False
         return not self.wants_own_ack(station, what, now_s)
-
-    def _alternates(self, station: Station, what: StopAction | WrittenValue) -> bool:
-        """Whether a reading came in the form that was used longest ago for another drive.
-
-        Not where an answer of a drive that is dead may still come in that form. In the other one a
-        second answer of the drive before could be taken for this one's, which may be dead, too.
-        """
-        other_s = {
-            field: self._duplicates.other_s(field, station.name)
-            for field, _, _ in self._fields(station, what)
-        }
-        longest_ago_s = min(other_s.values(), default=-math.inf)
-        return any(other_s.get(field, -math.inf) <= longest_ago_s for field in self._shown)
 
     def _is_shown_by_itself(
         self, station: Station, what: StopAction | WrittenValue, now_s: float
