@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from lecombus.drive_state.control_word import ControlWord, unknown_until_ended
 from lecombus.drives import family
 from lecombus.drives.stops import StopProof, inhibit_proofs
@@ -139,3 +141,12 @@ def test_a_word_that_may_be_another_drives_is_kept_only_if_it_is_as_before() -> 
     assert word.word() is None
     word.seen(WORD, Value.parse("H0000"), may_be_anothers=True)
     assert word.word() == 0
+
+
+@pytest.mark.parametrize(("read", "kept"), [("H0200", 0x0200), ("H0204", None), ("H0208", None)])
+def test_the_bit_of_an_inhibit_that_is_known_may_have_come(read: str, kept: int | None) -> None:
+    word = ControlWord(lambda: 0.0, WORD, mask=0x0200, inhibited_by={})
+    word.seen(WORD, Value.parse("H0000"))
+    word.inhibiting()
+    word.seen(WORD, Value.parse(read), may_be_anothers=True)
+    assert word.word() == kept

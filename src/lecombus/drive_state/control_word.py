@@ -116,11 +116,11 @@ class ControlWord:
                 look at its answer much later, when the drive's watchdog has acted.
             may_be_anothers: Answers come twice on this line: it may be the word of another drive,
                 whose direction or fixed speed must not be written to this one. It is kept only
-                if it is as this drive's was known last.
+                if it is as this drive's was known last, but for an inhibit known of.
         """
         if code in self._proofs:
             self._look_for_inhibit(code, value, self._clock() if at_s is None else at_s)
-        if not may_be_anothers or value.word == self._last_word:
+        if not may_be_anothers or self._is_as_before(value):
             self._keep(code, value)
 
     def _keep(self, code: Code, value: Value) -> None:
@@ -130,6 +130,13 @@ class ControlWord:
         if word is None:
             return
         self._word = self._last_word = word
+
+    def _is_as_before(self, value: Value) -> bool:
+        """Say whether a word is as it was known last, but for the bit of an inhibit known of."""
+        if value.word is None or self._last_word is None:
+            return False
+        changed = value.word ^ self._last_word
+        return not changed or (changed == self._mask and not self._last_free)
 
     def _look_for_inhibit(self, code: Code, value: Value, at_s: float) -> None:
         shown = self._proofs[code].shown_by(value)
