@@ -150,3 +150,46 @@ def test_the_bit_of_an_inhibit_that_is_known_may_have_come(read: str, kept: int 
     word.inhibiting()
     word.seen(WORD, Value.parse(read), may_be_anothers=True)
     assert word.word() == kept
+
+
+def test_a_write_repeats_what_was_said_last_unless_the_drive_does_not_hold_it() -> None:
+    word, stop = ControlWord(lambda: 0.0, WORD, moved_by=[INHIBIT]), Value.parse("H0008")
+
+    def said_again(code: Code = WORD, value: Value = stop) -> bool:
+        return word.repeats(code, value)
+
+    assert not said_again()
+    word.written(WORD, stop, heard=True)
+    assert said_again()
+    assert not said_again(value=Value.parse("H0000"))
+    word.seen(WORD, Value.parse("H0208"))
+    assert said_again(), "it has an inhibit besides"
+    word.begin_write()
+    assert not said_again(), "another write may change it first"
+    word.end_write()
+    assert said_again()
+    word.seen(WORD, Value.parse("H0000"))
+    assert not said_again(), "it does not hold it any more"
+    word.written(WORD, stop, heard=True)
+    word.written(INHIBIT, Value.parse("1"), heard=True)
+    assert not said_again()
+    word.written(INHIBIT, Value.parse("0"), heard=True)
+    assert said_again(INHIBIT, Value.parse("0"))
+    word.seen(INHIBIT, Value.parse("1"))
+    assert not said_again(INHIBIT, Value.parse("0"))
+    word.written(WORD, stop, heard=False)
+    assert not said_again()
+    word.written(WORD, stop, heard=True)
+    word.forget()
+    assert not said_again()
+
+
+def test_behind_a_write_that_was_not_heard_no_word_that_may_be_anothers_is_kept() -> None:
+    word = ControlWord(lambda: 0.0, WORD)
+    word.seen(WORD, Value.parse("H0008"))
+    word.written(WORD, Value.parse("H0004"), heard=False)
+    for raw in ("H0008", "H0004"):
+        word.seen(WORD, Value.parse(raw), may_be_anothers=True)
+        assert word.word() is None
+    word.seen(WORD, Value.parse("H0004"))
+    assert word.word() == 4

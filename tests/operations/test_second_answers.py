@@ -63,58 +63,6 @@ def test_a_dead_drive_is_never_said_to_be_stopped(
         assert len(living) == len(DRIVES) - len(DEAD), (seed, report)
 
 
-WORDS = roster_text(
-    [(f"d{n}", 11 + n, "8200vector") for n in range(6)],
-    drive="writable: [C0040, C0046, C0135], "
-    "cyclic: [{code: C0150, every: 1s}, {code: C0135, every: 1s}]",
-    baud=9600,
-)
-CCW = 0x0004
-
-
-def word_of(number: int) -> int:
-    """Every other drive turns counterclockwise (EDB2102EN 8.2, C0135 bit 2)."""
-    return CCW if number % 2 else 0
-
-
-def wrong_words(faults: str, seed: int, *, known: bool, action: StopAction) -> list[str]:
-    """Stop all drives of a line; say which word has bits that are another drive's."""
-    found: list[str] = []
-
-    async def test(plant: Plant) -> None:
-        await plant.online(within_s=600.0)
-        plant.line.faults = parse_faults(faults)
-        await anyio.sleep(3.0)  # of the first second answer nothing is known yet (ADR 40)
-        for n in range(6):
-            word = f"H{word_of(n):04X}"
-            report = await plant.site.operations.write(f"d{n}", Code(135), word)
-            assert report.outcome.is_good
-        await anyio.sleep(2.5)
-        for n in range(6):
-            if not known:
-                drive = plant.site.drives.find(f"d{n}")
-                assert drive is not None
-                drive.control_word.forget()
-        await plant.site.operations.stop(action, "all")
-        found.extend(
-            f"d{n}: {plant.line[f'd{n}'].text(135)}" for n in range(6)
-            if (int(plant.line[f"d{n}"].text(135)[1:], 16) ^ word_of(n)) & ~0x0208
-        )  # fmt: skip
-
-    with_plant(test, WORDS, seed=seed)
-    return found
-
-
-@pytest.mark.parametrize("known", [True, False])
-@pytest.mark.parametrize("faults", ["double=1:60ms-200ms", "double=1:80ms", "double=0.5:20ms-1s"])
-def test_a_quick_stop_is_not_made_from_another_drives_control_word(
-    faults: str, known: bool
-) -> None:
-    """With that one's direction in it the drive would turn the wrong way after the next enable."""
-    for seed in range(6):
-        assert wrong_words(faults, seed, known=known, action=StopAction.QUICK_STOP) == [], seed
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("faults", DOUBLES)
 def test_nor_in_many_lines(faults: str) -> None:

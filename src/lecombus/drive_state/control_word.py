@@ -52,7 +52,7 @@ class ControlWord:
 
     __slots__ = (
         "_clock", "_code", "_commanded", "_free_at_s", "_heard_at_s", "_last_free", "_last_said",
-        "_last_word", "_mask", "_moved_by", "_moving", "_proofs", "_said", "_shown",
+        "_last_word", "_mask", "_moved_by", "_moving", "_own_word", "_proofs", "_said", "_shown",
         "_watchdog_inhibits", "_watchdog_s", "_word",
     )  # fmt: skip
 
@@ -83,6 +83,7 @@ class ControlWord:
         self._free_at_s: float | None = None  # when something last showed that there is none
         self._heard_at_s: float | None = None  # when the drive last answered
         self._last_word: int | None = None  # kept when the word is forgotten
+        self._own_word: int | None = None  # the same, but not behind a write that was not heard
         self._last_free = False  # what was known last showed no inhibit
 
     # ---- what happens -------------------------------------------------------------------------
@@ -120,8 +121,20 @@ class ControlWord:
         """
         if code in self._proofs:
             self._look_for_inhibit(code, value, self._clock() if at_s is None else at_s)
-        if not may_be_anothers or self._is_as_before(value):
-            self._keep(code, value)
+        if may_be_anothers and not self._is_as_before(value):
+            return
+        if self._last_said is not None and self._last_said[0] == code:
+            self._see_said(self._last_said[1], value)
+        self._keep(code, value)
+
+    def _see_said(self, said: Value, value: Value) -> None:
+        """Forget what was said last if the drive does not hold it any more, as after a restart."""
+        if said.word is None or value.word is None:
+            holds = value.means_same(said)
+        else:
+            holds = not said.word & ~value.word
+        if not holds:
+            self._last_said = None
 
     def _keep(self, code: Code, value: Value) -> None:
         if self._code != code or self._moving:
@@ -129,13 +142,13 @@ class ControlWord:
         word = usable_word(value.word)
         if word is None:
             return
-        self._word = self._last_word = word
+        self._word = self._last_word = self._own_word = word
 
     def _is_as_before(self, value: Value) -> bool:
         """Say whether a word is as it was known last, but for the bit of an inhibit known of."""
-        if value.word is None or self._last_word is None:
+        if value.word is None or self._own_word is None:
             return False
-        changed = value.word ^ self._last_word
+        changed = value.word ^ self._own_word
         return not changed or (changed == self._mask and not self._last_free)
 
     def _look_for_inhibit(self, code: Code, value: Value, at_s: float) -> None:
@@ -166,6 +179,8 @@ class ControlWord:
             return
         self._word, self._said[code] = None, value
         self._last_said = (code, value) if heard else None
+        if not heard:
+            self._own_word = None
         if self._inhibits(code, value):
             self._command()
         else:
@@ -206,7 +221,7 @@ class ControlWord:
     def forget(self) -> None:
         """The word is not known any more, nor whether the drive is inhibited."""
         self._word = self._free_at_s = None
-        self._commanded, self._last_said = False, None
+        self._commanded, self._last_said, self._own_word = False, None, None
         self._said.clear()
         self._shown.clear()
 

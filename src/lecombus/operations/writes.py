@@ -85,6 +85,8 @@ class Writes:
             refuse_for_gone_client(drive)
         if outdated := self._why_outdated(drive, mark, unless_stopped_since):
             return stopped_first(drive, code, outdated)
+        if since() and not asks_to_stop(station.family, code, wire):
+            return stopped_first(drive, code)
         if wears(station.family, code):
             there = await self.already_there(
                 station, code, wire, verify=verify, within_s=expires_s, urgency=urgency

@@ -527,7 +527,8 @@ class LecomExchangeLoop:
         self.exchanges += 1
         self._bus_idle.exchange_ended(result.ended_s)
         self._heard()
-        self._deferred.put_off(*done, result, self._may_be_anothers(done, result))
+        anothers = self.duplicates.came_once and self._may_be_anothers(done, result)
+        self._deferred.put_off(*done, result, anothers)
         self._schedule.follow(done[0], result.started_s, result.ended_s, now)
         self.under_way = ready
         self._begin(ready[2], now, loss)
@@ -546,7 +547,8 @@ class LecomExchangeLoop:
             self.ready = None  # the result may change what is sent next: choose again
         quarantined_s = self._after(request, job, prepared, result)
         self._schedule.finished(request, result.started_s, ended + quarantined_s, answered)
-        anothers = self._may_be_anothers((request, job, prepared), result)
+        done = (request, job, prepared)
+        anothers = self.duplicates.came_once and self._may_be_anothers(done, result)
         if type(result.answer) is ValueAnswer and type(job) is ReadJob:
             self._deferred.put_off(request, job, prepared, result, anothers)
             return

@@ -163,9 +163,13 @@ class Duplicates:
     """Keeps from which drive each answer was requested, and the answers without a request.
 
     Answers are distinguished by their code field (`protocol.exchange.Ask.field`).
+
+    Attributes:
+        came_once: A second answer has come on this line at any time.
     """
 
     def __init__(self) -> None:
+        self.came_once = False
         self._last: dict[bytes, tuple[str, float]] = {}
         self._other: dict[bytes, float] = {}  # when it was asked last of another than `_last`
         self._lately: deque[tuple[float, bytes, str]] = deque()
@@ -194,6 +198,7 @@ class Duplicates:
 
     def came(self, field: bytes, at_s: float) -> None:
         """Record an answer without an open request."""
+        self.came_once = True
         whose = {name for asked_s, one, name in self._lately
                  if one == field and asked_s >= at_s - LATELY_S}  # fmt: skip
         self._second.append((at_s, whose.pop() if len(whose) == 1 else None))

@@ -13,9 +13,6 @@ nothing for a second is no reason to leave a running drive running. After the fi
 there are pauses, in which the watchdogs of the others are fed. Where nothing may be read because an
 old answer may still come, it is sent again.
 
-Where answers come twice on the line, a control word that is read may be another drive's
-(`learnt_word`).
-
 A quick stop that is not possible becomes an inhibit, with the reason: when the control word cannot
 be read, when the drive refuses the telegram again and again, when it takes it and does not show it.
 Only inhibit is possible in every operating mode (EDB2102EN 6.2.1).
@@ -52,7 +49,6 @@ from lecombus.schedule.request import Outcome
 from ..protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer, ValueAnswer
 from .jobs import error_of
 from .late_answers import Duplicates
-from .learnt_word import LearntWord
 from .read_back_proof import ReadBackProof
 
 __all__ = ["LongestTimes", "StopJob"]
@@ -141,13 +137,14 @@ class StopJob(StopWork):
         self._times = times
         self.proof: Value | None = None
         self.proof_code: Code | None = None
-        self._learnt = LearntWord(station.family.stops[action].code, duplicates)
         self._proving = ReadBackProof(duplicates, silent=silent, offline=offline)
         self.error: ExchangeError | None = None
         self._since_s: float | None = None
         self._ended_s = -math.inf  # its last exchange
         self._checking, self._least_sayings = said, LEAST_STOP_ATTEMPTS - said
         self._repeats, self._learning = repeats, False
+        self._read_word: int | None = None  # read for the telegram that comes next
+        self._read_inhibit: bool | None = None  # likewise
         # In a row: sayings without an acknowledgement, reads that failed, refusals, and proofs that
         # did not show the stop.
         self._unheard = self._failed_reads = self._naks = self._unshown = 0
@@ -208,7 +205,8 @@ class StopJob(StopWork):
     @property
     def _is_ready(self) -> bool:
         """Whether what comes next was made from what has just been read or refused."""
-        return self._learnt.is_there or self._step is not None
+        read = self._read_word is not None or self._read_inhibit is not None
+        return read or self._step is not None
 
     @property
     def pause_s(self) -> float:
@@ -262,7 +260,7 @@ class StopJob(StopWork):
         over = result.ended_s - self._since_s >= self.patience_s
         over = over and (bool(self.attempts) or not self.may_inhibit)
         if self._learning:
-            return self._has_read(step, result, over)
+            return self._learnt(step, result, over)
         if self._checking:
             return self._checked(step, result, over)
         self.attempts += 1
@@ -300,23 +298,22 @@ class StopJob(StopWork):
         if self._unread_word is not None:
             return self._saying(self._unread_word)
         word = usable_word(self.word())
-        word = self._learnt.word if word is None else word
+        word = self._read_word if word is None else word
         if word is None:
             return self._to_learn(code)
         mask = inhibit_mask(family, code)
         if not word & mask:
             inhibited = self.inhibited()
-            inhibited = self._learnt.inhibited if inhibited is None else inhibited
+            inhibited = self._read_inhibit if inhibited is None else inhibited
             if inhibited is None:
                 return self._to_learn(next(iter(inhibit_proofs(family))))
             word |= mask if inhibited else 0
-        self._learnt.forget()
+        self._read_word = self._read_inhibit = None
         return self._saying(word)
 
     def _to_learn(self, code: Code) -> JobStep:
-        """Read it; a word that may be another drive's once more, in the other form."""
         self._learning = True
-        return JobStep(StepKind.READ, code, form=self._learnt.form(self.station, code))
+        return JobStep(StepKind.READ, code)
 
     def _saying(self, word: int | None) -> JobStep:
         code, value = stop_value(self.station.family, self.action, word)
@@ -332,14 +329,14 @@ class StopJob(StopWork):
         self._why = f"{self.action} {why}; "
         self._learning = self._checking = self._repeats = False
         self._proving.begin()
-        self._learnt.forget()
+        self._read_word = self._read_inhibit = None
         self._unheard = self._unshown = 0
         self.action = StopAction.INHIBIT
         self._step = self._saying(None)
         if now_s is not None and self._since_s is not None:
             self._since_s = max(self._since_s, now_s - STOP_PATIENCE_S + LEAST_INHIBIT_S)
 
-    def _has_read(self, step: JobStep, result: Result, over: bool) -> Verdict:
+    def _learnt(self, step: JobStep, result: Result, over: bool) -> Verdict:
         """Keep what the stop is made of: the word, or whether the drive is inhibited.
 
         A drive that this job has sent no stop is inhibited after one read that fails, also where a
@@ -349,55 +346,46 @@ class StopJob(StopWork):
         self._learning = False
         answer = result.answer
         value = answer.value if type(answer) is ValueAnswer else None
-        is_own = type(answer) is not ValueAnswer or self._learnt.is_own(
-            self.station, step.code, answer, result.started_s, self.last_word()
-        )
-        if not is_own and self._learnt.may_be_asked_again and not over:
-            return None
-        if is_own and value is not None and self._learnt.take(self.station, step.code, value):
+        if value is not None and self._takes(step.code, value):
             self._failed_reads = 0
             return None
         self._failed_reads += 1
         unknown = type(answer) is UnknownCodeAnswer
         self._turn(refused=unknown)
         if not self.may_inhibit:
-            if self._says_unread(value, over, is_own=is_own) or not over:
+            if self._says_unread(value, over) or not over:
                 return None
-            why = self._unreadable(step, result, value) if is_own else self._anothers(step)
             outcome = Outcome.UNKNOWN if self.attempts else Outcome.REFUSED
-            return outcome, f"{self.action} {why}{NO_FALLBACK}"
+            return outcome, f"{self.action} {self._unreadable(step, result, value)}{NO_FALLBACK}"
         if unknown and self._turned:
             return None
         said = result.kind is ResultKind.ANSWERED and type(answer) is not NakAnswer
         asked_enough = said or self._failed_reads > self.retries
         if not self.attempts or asked_enough or over:
-            why = self._unreadable(step, result, value) if is_own else self._anothers(step)
-            self._inhibit(why, result.ended_s)
+            self._inhibit(self._unreadable(step, result, value), result.ended_s)
         return None
 
-    @staticmethod
-    def _anothers(step: JobStep) -> str:
-        """Return why a control word that was read is not used."""
-        return f"needs {step.code}, and answers come twice on this line: it may be another drive's"
-
-    def _says_unread(self, value: Value | None, over: bool, *, is_own: bool) -> bool:
+    def _says_unread(self, value: Value | None, over: bool) -> bool:
         """Say the quick stop with the last known word from now on, if there is nothing better.
 
-        A drive that hears and is not heard would else run on: it may not be inhibited. Nor may one
-        whose word was never known: a wrong direction is better than no stop.
+        A drive that hears and is not heard would else run on: it may not be inhibited.
         """
-        why = "made from the control word as it was known last; "
-        if not is_own or (value is None and (over or self._failed_reads > self.retries)):
+        if value is None and (over or self._failed_reads > self.retries):
             self._unread_word = self.last_word()
-        if self._unread_word is None and not is_own and value is not None:
-            mask = inhibit_mask(self.station.family, self.station.family.stops[self.action].code)
-            word = usable_word(value.word)
-            self._unread_word = word | mask if word is not None and self.inhibited() else word
-            why = "made from a control word that may be another drive's; "
         if self._unread_word is None:
             return False
-        self._failed_reads, self._why = 0, why
+        self._failed_reads = 0
+        self._why = "made from the control word as it was known last; "
         return True
+
+    def _takes(self, code: Code, value: Value) -> bool:
+        """Keep a value that the next telegram needs; False: it is no such value."""
+        family = self.station.family
+        if code == family.stops[self.action].code:
+            self._read_word = usable_word(value.word)
+            return self._read_word is not None
+        self._read_inhibit = inhibit_proofs(family)[code].shown_by(value)
+        return self._read_inhibit is not None
 
     def _unreadable(self, step: JobStep, result: Result, value: Value | None) -> str:
         """Return why a control word, or whether the drive is inhibited, could not be learnt."""
