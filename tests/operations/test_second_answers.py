@@ -63,6 +63,35 @@ def test_a_dead_drive_is_never_said_to_be_stopped(
         assert len(living) == len(DRIVES) - len(DEAD), (seed, report)
 
 
+WORDS = roster_text(
+    [(f"d{n}", 11 + n, "8200vector") for n in range(6)],
+    drive="writable: [C0135], cyclic: [{code: C0150, every: 1s}, {code: C0135, every: 1s}]",
+    baud=9600,
+)
+
+
+@pytest.mark.parametrize("faults", ["double=1:60ms-200ms", "double=1:80ms", "double=0.5:20ms-1s"])
+def test_no_control_word_of_another_drive_is_kept(faults: str) -> None:
+    """A quick stop would write it, with that one's direction (EDB2102EN 8.2, C0135 bit 2)."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online(within_s=600.0)
+        plant.line.faults = parse_faults(faults)
+        await anyio.sleep(3.0)  # of the first second answer nothing is known yet (ADR 40)
+        own = {f"d{n}": 0x0004 * (n % 2) for n in range(6)}
+        for name, word in own.items():
+            await plant.site.operations.write(name, Code(135), f"H{word:04X}")
+        for _ in range(100):
+            await anyio.sleep(0.1)
+            for name, word in own.items():
+                drive = plant.site.drives.find(name)
+                assert drive is not None
+                assert drive.control_word.word() in (word, None), name
+
+    for seed in range(4):
+        with_plant(test, WORDS, seed=seed)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("faults", DOUBLES)
 def test_nor_in_many_lines(faults: str) -> None:
