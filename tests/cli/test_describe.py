@@ -135,6 +135,13 @@ def test_an_820x_has_no_c0043_and_what_resets_a_fault_there_is_said(run: Run) ->
     assert "820x has no C0043: inhibit followed by enable resets a fault" in ran.err
 
 
+def test_a_parameter_is_named_as_at_the_keypad(run: Run) -> None:
+    rows = run("describe", "smvector", "P411").out.splitlines()
+    assert rows[:2] == ["code\tC1411", "keypad\tP411"]
+    assert run("describe", "smvector", "P412").err.startswith("P412 of smvector is not described")
+    assert "keypad" not in run("describe", "8200vector", "C0012").out
+
+
 @pytest.mark.parametrize("code", ["C0012", "C0013"])
 @pytest.mark.parametrize("family", ["820x", "821x", "8200vector", "93xx"])
 def test_ramps_are_in_seconds(run: Run, family: str, code: str) -> None:

@@ -64,6 +64,7 @@ def test_a_speed_is_sent_with_its_unit(
         ["-3.5E1%"],
         ["1e99999", "Hz"],
         [],
+        ["0x14", "Hz"],
     ],
 )
 def test_a_speed_that_is_none_is_refused_here(

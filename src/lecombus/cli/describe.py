@@ -25,6 +25,7 @@ Say = Callable[[str], str]
 
 GERMAN: Final[Mapping[str, str]] = {
     "code": "Code",
+    "keypad": "Tastenfeld",
     "name": "Name",
     "format": "Format",
     "hexadecimal digits": "Hexadezimalziffern",
@@ -103,9 +104,9 @@ def describe_command(
 
 def not_described(described: Family, code: Code) -> CommandError:
     """Say that a code has no description, and what is near it or does the same."""
-    problem = f"{code} of {described.name} is not described"
+    problem = f"{described.spoken(code)} of {described.name} is not described"
     remedy = "any code may be read all the same"
-    near = ", ".join(str(one.code) for one in neighbours(described, code))
+    near = ", ".join(described.spoken(one.code) for one in neighbours(described, code))
     if near:
         remedy = f"near it are {near}; {remedy}"
     if code == FAULT_RESET and described.verbs and described.verbs.reset.code is None:
@@ -160,6 +161,8 @@ def properties(described: Family, info: CodeInfo, language: Language) -> Iterato
     say = words_in(language)
     digits = f", {info.hex_digits} {say('hexadecimal digits')}" if info.hex_digits else ""
     yield say("code"), str(info.code)
+    if at_keypad := described.keypad_name(info.code):
+        yield say("keypad"), at_keypad
     yield say("name"), info.name_in(language)
     yield say("format"), f"{info.format.value}{digits}"
     if info.unit:

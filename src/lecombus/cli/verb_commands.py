@@ -42,7 +42,7 @@ __all__ = [
 WAITED_S: Final = 3.0
 """A stop that takes longer is not kept from the person who waits: its daemon may hang."""
 
-_SPEED = re.compile(r"\0?([+-]?[0-9.,]+(?:[eE][+-]?[0-9]+)?)\s*(.*)", re.DOTALL)
+_SPEED = re.compile(r"\0?([+-]?[0-9.,]+(?:[eE][+-]?[0-9]+)?)(?![xX0-9])\s*(.*)", re.DOTALL)
 """A number, right or not, and a unit; before a negative one stands what hides it from click."""
 
 
