@@ -29,13 +29,13 @@ demo:
 
 # Its closing line says how the whole run ended.
 test:
-	@scripts/venv dev
 	@scripts/debian-packages
+	@scripts/venv dev
 	@.venv/bin/python scripts/test $(ARGS)
 
 test-long:
-	@scripts/venv dev
 	@scripts/debian-packages
+	@scripts/venv dev
 	@.venv/bin/python -m pytest -m "long and not hardware" $(ARGS)
 
 check:
