@@ -305,6 +305,8 @@ class LeaseChecks:
             self._asked.pop(request, None)
             if outcome is Outcome.REFUSED and asked.text is not None:
                 self.counts.withdrawn += 1
+            if stop and one is not None and outcome is not Outcome.VERIFIED:
+                self._left(one.name)  # its own watchdog may be left to stop it
             if stop and one is not None and one.lapses == lapses:
                 one.stops_open -= 1
                 self.begun.discard(one.name)
@@ -313,8 +315,6 @@ class LeaseChecks:
                 self._excuse(self._clock())
                 if one.proven:
                     one.away = False
-                else:  # its own watchdog may be left to stop it
-                    self._left(one.name)
 
         return ended
 
