@@ -3,16 +3,17 @@
     python -m soak.run [--hours 1] [--idle]
 
 31 simulated drives at 19200 on a pseudo terminal, served by a process of their own; the daemon with
-its journal and the Modbus bridge; scrapes, readers of events, and clients that read, write and
-stop; and busy loops of lower priority on every core (none with `--idle`). At the end, and every
-minute, memory, descriptors, threads and the size of the journal are shown. It fails if
+its journal, the Modbus bridge, and the MQTT bridge with a broker; scrapes, readers of events, and
+clients that read, write and stop; and busy loops of lower priority on every core (none with
+`--idle`). At the end, and every minute, memory, descriptors, threads and the size of the journal
+are shown. It fails if
 
 * a watchdog of a drive acted, or the daemon says that it fed one too late;
-* memory grew by 1 % or more after the first ten minutes (shown only, where it runs for less than
-  twenty: caches and the buffer of events fill up at first);
+* memory of the daemon or a bridge grew by 1 % or more after the first ten minutes (shown only,
+  where it runs for less than twenty: caches and the buffer of events fill up at first);
 * threads grew by more than `SPARE`, or the journal beyond its largest size;
 * more than `SPARE` further descriptors are open when the clients have gone;
-* a request ended otherwise than documented.
+* a request ended otherwise than documented, or a bridge ended.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import argparse
 import os
 import sys
 import time
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +31,7 @@ from typing import Final
 import httpx2
 import pytest
 
+from support import mqtt_parts
 from support.children import child, take_priority
 from support.daemon_host import (
     Daemon,
@@ -64,13 +67,14 @@ SETTLED_S: Final = 600.0
 
 @dataclass(frozen=True)
 class Sample:
-    """What the daemon takes at one time."""
+    """What the daemon takes at one time, and the memory of the bridges by name."""
 
     at_s: float
     rss_kb: int
     descriptors: int
     threads: int
     journal_bytes: int
+    bridges_kb: dict[str, int]
 
     @property
     def text(self) -> str:
@@ -79,24 +83,32 @@ class Sample:
             f"{self.at_s / 60:6.1f} min  {self.rss_kb / 1000:7.1f} MB  "
             f"{self.descriptors:4} descriptors  {self.threads:3} threads  "
             f"journal {self.journal_bytes / 1e6:.2f} MB"
-        )
+        ) + "".join(f"  {name} {kb / 1000:.1f} MB" for name, kb in self.bridges_kb.items())
 
 
-def sample(pid: int, journal: Path, at_s: float) -> Sample:
-    """Look at a process."""
+def number(pid: int, key: str) -> int:
+    """Return a number that the kernel knows of a process, such as VmRSS in kB."""
     status = Path(f"/proc/{pid}/status").read_text()
+    return int(status.partition(f"{key}:")[2].split()[0])
 
-    def number(key: str) -> int:
-        return int(status.partition(f"{key}:")[2].split()[0])
 
+def sample(pid: int, journal: Path, at_s: float, bridges: Mapping[str, int]) -> Sample:
+    """Look at the daemon, and at its bridges by name."""
     files = list(Path(f"/proc/{pid}/fd").iterdir())
     size = sum(one.stat().st_size for one in journal.parent.glob(f"{journal.name}*"))
-    return Sample(at_s, number("VmRSS"), len(files), number("Threads"), size)
+    memory = {name: number(one, "VmRSS") for name, one in bridges.items()}
+    return Sample(at_s, number(pid, "VmRSS"), len(files), number(pid, "Threads"), size, memory)
 
 
-def grown(samples: list[Sample], from_s: float) -> float:
-    """Return by what part memory grew: the median of the last fifth against that after `from_s`."""
-    later = [one.rss_kb for one in samples if one.at_s >= from_s]
+def grown(samples: list[Sample], from_s: float, of: str = "") -> float:
+    """Return by what part memory grew: the median of the last fifth against that after `from_s`.
+
+    Args:
+        samples: All of them.
+        from_s: Those before are left out.
+        of: A bridge; empty: the daemon.
+    """
+    later = [one.bridges_kb[of] if of else one.rss_kb for one in samples if one.at_s >= from_s]
     fifth = max(1, len(later) // 5)
     first, last = sorted(later[:fifth]), sorted(later[-fifth:])
     return last[len(last) // 2] / first[len(first) // 2] - 1.0
@@ -118,12 +130,12 @@ def mixed() -> list[Asked]:
     return asked
 
 
-def roster(folder: Path, http: int, modbus: int) -> str:
+def roster(folder: Path, http: int, modbus: int, broker: int) -> str:
     """Write the roster of the line."""
     return roster_text(
         DRIVES, port=folder / "port", folder=folder, watchdog=WATCHDOG, drive=KEYS, http=http,
         sections=f"journal: {{file: {folder / 'journal.sqlite'}, max_size: 32MB}}\n"
-        f"modbus: {{port: {modbus}}}",
+        f"modbus: {{port: {modbus}}}\nmqtt: {{host: 127.0.0.1, port: {broker}, tls: false}}",
     )  # fmt: skip
 
 
@@ -133,7 +145,8 @@ def soak(seconds: float, *, idle: bool) -> tuple[list[Sample], list[str]]:
     with ExitStack() as stack:
         folder = stack.enter_context(short_dir())
         http, modbus = free_port(), free_port()
-        text = roster(folder, http, modbus)
+        broker = stack.enter_context(mqtt_parts.broker(folder))
+        text = roster(folder, http, modbus, broker.port)
         (folder / "line.yaml").write_text(text)
         line = stack.enter_context(
             child("support.paced_line", folder / "port", "--roster", folder / "line.yaml")
@@ -142,7 +155,12 @@ def soak(seconds: float, *, idle: bool) -> tuple[list[Sample], list[str]]:
         daemon = stack.enter_context(running(text, folder))
         daemon.until_online(within_s=240.0)
         words = command("bridge", "modbus", "-c", folder / "roster.yaml")
-        bridge = stack.enter_context(started(words, folder / "bridge.log"))
+        bridges = {
+            "modbus": stack.enter_context(started(words, folder / "modbus.log")),
+            "mqtt": stack.enter_context(mqtt_parts.bridge(folder)).process,
+        }
+        pids = {name: one.pid for name, one in bridges.items()}
+        listener = stack.enter_context(broker.client("#"))
         pid, journal = daemon.process.pid, folder / "journal.sqlite"
         for _ in range(READERS):
             reader = command("events", "--socket", daemon.socket, "--json")
@@ -153,16 +171,20 @@ def soak(seconds: float, *, idle: bool) -> tuple[list[Sample], list[str]]:
                 stack.enter_context(started(loop, folder / "busy.log", env=environment()))
         scraper = stack.enter_context(httpx2.Client(timeout=12.0))
         fired, missed = line.ask("so_far")["fired"], _missed(daemon)
-        samples, scrapes, began_s = [sample(pid, journal, 0.0)], 0, time.monotonic()
+        samples, scrapes, began_s = [sample(pid, journal, 0.0, pids)], 0, time.monotonic()
+        heard = 0
         print(samples[0].text, flush=True)
         with Traffic(daemon.socket, mixed(), PER_S) as traffic:
             while (at_s := time.monotonic() - began_s) < seconds:
                 scrapes += scraper.get(f"http://127.0.0.1:{http}/metrics").status_code == 200
-                samples.append(sample(pid, journal, at_s))
+                heard += len(listener.heard)
+                listener.heard.clear()
+                samples.append(sample(pid, journal, at_s, pids))
                 if at_s // 60 > samples[-2].at_s // 60:
                     print(samples[-1].text, flush=True)
                 time.sleep(SCRAPE_EVERY_S)
-        print(f"{traffic.issued} requests, {scrapes} scrapes\n{traffic.summary()}", flush=True)
+        print(f"{traffic.issued} requests, {scrapes} scrapes, {heard} messages by the broker")
+        print(traffic.summary(), flush=True)
         after = line.ask("so_far")
         print(f"{after['requests']} telegrams", flush=True)
         if after["fired"] != fired:
@@ -171,13 +193,14 @@ def soak(seconds: float, *, idle: bool) -> tuple[list[Sample], list[str]]:
             broken.append(f"fed too late: {_missed(daemon)}")
         if {HANGING, CUT, 500} & set(traffic.statuses):
             broken.append(f"requests ended as {dict(traffic.statuses)}")
-        if bridge.poll() is not None:
-            broken.append("the bridge has ended")
+        broken += [f"bridge {one}: ended" for one in bridges if bridges[one].poll() is not None]
+        if not heard:
+            broken.append("nothing came by the broker")
         try:
             least = samples[0].descriptors + SPARE
-            until(lambda: sample(pid, journal, 0.0).descriptors <= least, "", within_s=90.0)
+            until(lambda: sample(pid, journal, 0.0, {}).descriptors <= least, "", within_s=90.0)
         except pytest.fail.Exception:
-            broken.append(f"descriptors stay open: {sample(pid, journal, 0.0).text}")
+            broken.append(f"descriptors stay open: {sample(pid, journal, 0.0, {}).text}")
         broken += judged(samples, SETTLED_S)
         until(lambda: set(daemon.states().values()) == {"online"}, "all online", within_s=30.0)
         if daemon.end() != 0:
@@ -190,10 +213,11 @@ def judged(samples: list[Sample], from_s: float) -> list[str]:
     broken = []
     is_long = samples[-1].at_s >= 2 * from_s
     from_s = from_s if is_long else samples[-1].at_s / 2
-    growth = grown(samples, from_s)
-    print(f"memory grew by {growth:.2%} after {from_s / 60:.1f} min", flush=True)
-    if is_long and growth >= GROWTH:
-        broken.append(f"memory grew by {growth:.2%}")
+    for of in ("", *samples[0].bridges_kb):
+        growth, whose = grown(samples, from_s, of), of or "daemon"
+        print(f"memory of {whose}: grew by {growth:.2%} after {from_s / 60:.1f} min", flush=True)
+        if is_long and growth >= GROWTH:
+            broken.append(f"memory of {whose}: grew by {growth:.2%}")
     later = [one for one in samples if one.at_s >= from_s]
     if (most := max(one.threads for one in later)) > later[0].threads + SPARE:
         broken.append(f"threads grew to {most}")

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from soak.run import JOURNAL_BYTES, Sample, grown, judged, soak
 
 
-def samples(**at_the_end: int) -> list[Sample]:
+def samples(**at_the_end: Any) -> list[Sample]:
     """An hour of a daemon that takes as much as ever, but for what is said at its end."""
-    usual = {"rss_kb": 70_000, "descriptors": 100, "threads": 4, "journal_bytes": 2_000_000}
+    usual: dict[str, Any] = {
+        "rss_kb": 70_000, "descriptors": 100, "threads": 4, "journal_bytes": 2_000_000,
+        "bridges_kb": {"mqtt": 40_000},
+    }  # fmt: skip
     early = [Sample(at_s * 5.0, **(usual | {"rss_kb": 60_000})) for at_s in range(100)]
     late = [Sample(500.0 + at_s * 5.0, **usual) for at_s in range(400)]
     return [*early, *late, *(Sample(2500.0 + s, **(usual | at_the_end)) for s in range(200))]
@@ -20,14 +25,15 @@ def samples(**at_the_end: int) -> list[Sample]:
     [
         ({}, ""),
         ({"rss_kb": 70_600}, ""),
-        ({"rss_kb": 70_800}, "memory grew by 1.14%"),
+        ({"rss_kb": 70_800}, "memory of daemon: grew by 1.14%"),
+        ({"bridges_kb": {"mqtt": 40_500}}, "memory of mqtt: grew by 1.25%"),
         ({"descriptors": 400}, ""),  # clients; when they have gone is looked at after them
         ({"threads": 16}, ""),
         ({"threads": 17}, "threads grew to 17"),
         ({"journal_bytes": 2 * JOURNAL_BYTES + 1}, "the journal grew to 64000001 bytes"),
     ],
 )
-def test_what_grows_is_seen(at_the_end: dict[str, int], said: str) -> None:
+def test_what_grows_is_seen(at_the_end: dict[str, Any], said: str) -> None:
     assert judged(samples(**at_the_end), 600.0) == ([said] if said else [])
 
 
