@@ -50,6 +50,34 @@ def test_systemd_finds_nothing_wrong_with_the_unit(unit: Path) -> None:
     assert complaints(unit) == ""
 
 
+def values_of(name: str, key: str) -> list[int]:
+    """What a shipped unit sets a key to."""
+    text = (DEPLOY / name).read_text()
+    return [int(value) for value in re.findall(rf"^{key}=(-?\d+)$", text, re.MULTILINE)]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        str(unit.relative_to(DEPLOY))
+        for unit in sorted([*DEPLOY.glob("*.service"), *DEPLOY.glob("containers/*.container")])
+    ],
+)
+def test_a_unit_with_a_nice_value_has_a_weight_against_other_services_too(name: str) -> None:
+    """Where processes are grouped by session, a nice value counts only within the service."""
+    nice, weight = values_of(name, "Nice"), values_of(name, "CPUWeight")
+    assert len(weight) <= 1
+    if nice:
+        assert weight
+        assert (weight[0] > 100) == (nice[0] < 0)
+
+
+def test_only_the_line_goes_before_other_services() -> None:
+    units = (str(unit.relative_to(DEPLOY)) for unit in DEPLOY.rglob("*@.*") if unit.is_file())
+    first = {name for name in units if max(values_of(name, "CPUWeight"), default=100) > 100}
+    assert first == {"lecombus@.service", "containers/lecombus-container@.container"}
+
+
 def test_the_unit_of_the_messages_is_right_and_neither_stops_its_line_nor_ends_with_it(
     tmp_path: Path,
 ) -> None:
