@@ -137,6 +137,8 @@ class Clients:
         written = self._line.is_saturated and drive in self._drives[:WRITERS]
         alone = written and family(drive.family).hold_after_write_s > 0.0
         number = self._seen.turns.asked(priority, alone=alone)
+        now = asyncio.get_running_loop().time
+        asked_s = now()
         try:
             station = self._site.requests.station(drive.name)
             value = await self._site.requests.read(station, code, priority, timeout_s=60.0)
@@ -146,7 +148,7 @@ class Clients:
             self._seen.answered("done")
             self._seen.told_address(drive.name, drive.address, value.raw)
         finally:
-            self._seen.turns.answered(priority, number)
+            self._seen.turns.answered(priority, number, at_once=now() == asked_s)
 
     async def _look(self) -> None:
         """Look at what is shown, again and again."""

@@ -80,11 +80,18 @@ class Turns:
             self._tickets[priority][self._count] = 0
         return self._count
 
-    def answered(self, priority: Priority, number: int) -> None:
-        """It has its outcome."""
+    def answered(self, priority: Priority, number: int, *, at_once: bool = False) -> None:
+        """It has its outcome.
+
+        Args:
+            priority: Its class.
+            number: What `asked` gave.
+            at_once: It was refused when it was asked, as for a silenced drive: nothing was sent,
+                so that it went ahead of none.
+        """
         tickets = self._tickets[priority]
         tickets.pop(number, None)
-        for other in tickets:
+        for other in () if at_once else tickets:
             if other < number:
                 tickets[other] += 1
                 if tickets[other] == OVERTAKEN_MOST and self._in_order and self._begun:
