@@ -225,7 +225,9 @@ class Connection:
             return AnswerLostError(problem, "what was asked may have happened; look at its log")
         if "CERTIFICATE" in said:
             problem = f"the certificate of {self.where} is not trusted: {exc}"
-            return UnreachableError(problem, "name the CA that signed it")
+            return UnreachableError(
+                problem, "name the file of the CA that signed it (ca; --ca FILE)"
+            )
         if is_because_of(exc, socket.gaierror):
             problem = f"the host of {self.where} is not known: {exc}"
             return UnreachableError(problem, "look at its name, and at this machine's name server")
