@@ -209,7 +209,9 @@ class Connection:
         said = str(exc).upper()
         if "ALERT" in said and ("CERTIFICATE" in said or "UNKNOWN_CA" in said):
             problem = f"{self.where} does not accept your certificate, or asks for one: {exc}"
-            return UnreachableError(problem, "name your certificate with its key")
+            return UnreachableError(
+                problem, "name your certificate with its key (certificate; --certificate FILE)"
+            )
         if isinstance(exc, httpx2.ReadTimeout | httpx2.WriteTimeout):
             problem = f"the daemon at {self.where} does not answer in time"
             return AnswerLostError(problem, "look at its log")
