@@ -116,6 +116,7 @@ async def test_what_cannot_be_asked_is_refused(client: httpx2.AsyncClient, query
         ("?limit=501", "limit takes a whole number, 1 to 500, not '501'"),
         ("?last=maybe", "last takes true or false, not 'maybe'"),
         ("?since=soon", "since takes a time, not 'soon'"),
+        ("?since=2026-11-23T06:00:00", "since takes a time with its zone, not "),
         ("/verify?head=305:00", "head takes NUMBER:HASH as in the log's event journal-head, with"),
     ],
     ids=lambda word: word[:30],

@@ -40,7 +40,10 @@ async def test_a_lease_is_taken_renewed_and_given_up(client: httpx2.AsyncClient)
     assert HeldLeaseDocument.model_validate_json(renewed.text).token == lease.token
     again = await put(client, token=lease.token, counter=2)
     assert (again.status_code, kind(again)) == (409, "stale-counter")
-    refused = await client.delete(PLC)
+    without = await client.delete(PLC)
+    assert (without.status_code, kind(without)) == (422, "bad-request")
+    assert without.json()["remedy"] == "send the token in the header Lecombus-Lease"
+    refused = await client.delete(PLC, headers={"Lecombus-Lease": f"{lease.token}x"})
     assert (refused.status_code, kind(refused)) == (409, "lease-lost")
     ended = await client.delete(PLC, headers={"Lecombus-Lease": lease.token})
     assert EndedLeaseDocument.model_validate_json(ended.text).drives == ["feeder"]
@@ -69,6 +72,14 @@ async def test_it_is_taken_over_by_name(client: httpx2.AsyncClient) -> None:
     taken = await put(client, "/v1/leases/hmi", **TAKE, take_over="plc")
     assert taken.json()["number"] > first["number"]
     assert kind(await put(client, token=first["token"], counter=9)) == "lease-lost"
+
+
+async def test_a_counter_that_is_too_large_is_told_with_the_largest(
+    client: httpx2.AsyncClient,
+) -> None:
+    answer = await put(client, **{**TAKE, "counter": 2**53 + 1})  # of a clock in nanoseconds
+    assert answer.status_code == 422
+    assert answer.json()["detail"].startswith("counter takes a whole number, 0 to 9007199254740992")
 
 
 async def test_a_name_that_is_none_is_named(client: httpx2.AsyncClient) -> None:

@@ -514,6 +514,29 @@ def keyed(key: str) -> Request:
     return Request(scope)
 
 
+@pytest.mark.parametrize("again", [None, b"2-b"])
+async def test_a_key_of_another_lease_is_not_answered_by_what_was_done_before(
+    again: bytes | None,
+) -> None:
+    keys, done = Idempotency(lambda: 0.0), list[str]()
+
+    def under(token: bytes | None) -> Request:
+        request = keyed("1")
+        lease = [] if token is None else [(b"lecombus-lease", token)]
+        request.scope["headers"] = [*request.scope["headers"], *lease]
+        return Request(request.scope)
+
+    async def act() -> Response:
+        done.append("sent")
+        return Response("x")
+
+    await keys.run(under(b"1-a"), b"", act)
+    await keys.run(under(b"1-a"), b"", act)
+    with pytest.raises(RefusedRequestError, match="another request"):
+        await keys.run(under(again), b"", act)
+    assert done == ["sent"]
+
+
 async def test_keys_take_bounded_memory() -> None:
     keys = Idempotency(lambda: 0.0)
 

@@ -191,6 +191,49 @@ def test_follow_asks_behind_the_newest_row(
     assert [line.split("\t")[1] for line in ran.out.splitlines()] == ["write", "stop", "trip"]
 
 
+GROUPS = {"groups": [{"group": "all", "members": ["feeder", "belt"]}]}
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("feder", "did you mean feeder?"),
+        ("x7", "they are: all, belt, feeder"),
+        ("belt", ""),
+        ("all", ""),
+    ],
+)
+@pytest.mark.parametrize("form", ["", "--csv", "--json"])
+def test_a_name_without_rows_that_the_roster_does_not_have_is_said(
+    run: Run, daemon: DaemonStub, name: str, said: str, form: str
+) -> None:
+    daemon.answers["GET /v1/groups"] = (200, json.dumps(GROUPS))
+    since = "since=2026-11-23T00%3A00%3A00.000%2B00%3A00"
+    daemon.answers[f"GET /v1/journal?{since}&limit=500&drive={name}"] = page([])
+    words = [form] if form else []
+    ran = run("journal", "--since", "2026-11-23 01:00", "--drive", name, *words)
+    assert ran.status == 0
+    assert said in ran.err
+    assert bool(ran.err) == bool(said)
+
+
+def test_a_name_that_is_no_more_in_the_roster_is_right_where_it_has_rows(
+    run: Run, daemon: DaemonStub
+) -> None:
+    since = "since=2026-11-23T00%3A00%3A00.000%2B00%3A00"
+    daemon.answers[f"GET /v1/journal?{since}&limit=500&drive=former"] = page(ROWS[1:3])
+    ran = run("journal", "--since", "2026-11-23 01:00", "--drive", "former")
+    assert (ran.status, ran.err) == (0, "")
+    assert len(ran.out.splitlines()) == 1
+
+
+@pytest.mark.parametrize("number", ["0", "501", "1e2", "5.5", "ten"])
+def test_a_count_that_is_none_is_told_with_its_bounds(run: Run, number: str) -> None:
+    ran = run("journal", "--last", number)
+    assert ran.status == 2
+    assert f"{number} is no whole number of 1 to 500" in ran.err
+
+
 @pytest.mark.parametrize(
     "words",
     [

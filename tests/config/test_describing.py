@@ -11,6 +11,7 @@ from lecombus.cli.check import gathered, pipe_rows
 from lecombus.config import describe, line_timing, load_roster
 from lecombus.fieldbus.lecom.protocol.addressing import group_reach
 from support.golden import Golden
+from support.rosters import roster_text
 
 
 def warned(text: str) -> list[str]:
@@ -104,6 +105,28 @@ def added(text: str) -> str:
 )
 def test_what_is_valid_but_suspicious_is_said(text: str, golden: Golden) -> None:
     golden(*warned(text))
+
+
+@pytest.mark.parametrize(
+    ("keys", "what"),
+    [
+        ("lease: {on_lapse: hold}", "feeder: on_lapse hold lets the drive run on"),
+        (
+            "lease: {on_lapse: silence}, watchdog: {time: 2s, action: inhibit, configure: true}, "
+            "stop_fallback: none",
+            "feeder: on_lapse silence ends in inhibit by its watchdog",
+        ),
+        (
+            "lease: {on_lapse: inhibit}, stop_fallback: none",
+            "feeder: on_lapse inhibit lets the motor coast",
+        ),
+    ],
+)
+def test_a_lapse_that_does_not_stop_or_lets_a_load_go_is_said_though_no_lease_is_required(
+    keys: str, what: str
+) -> None:
+    found = warned(roster_text([("feeder", 11, "8200vector")], drive=keys))
+    assert [text for text in found if text.startswith(what)], found
 
 
 @pytest.mark.parametrize(

@@ -356,7 +356,9 @@ def test_a_lapse_needs_a_stop_the_family_knows(lease: str) -> None:
         ("lease: {required: true, on_lapse: silence}", False),
         ("lease: {required: true, on_lapse: silence}, watchdog: {time: 2s, action: none}", False),
         ("lease: {required: true, on_lapse: silence}, watchdog: {time: 2s, action: inhibit}", True),
-        ("lease: {on_lapse: silence}", True),
+        ("lease: {on_lapse: silence}", False),  # a client may take one all the same
+        ("lease: {on_lapse: silence}, watchdog: {time: 2s, action: none}", False),
+        ("lease: {on_lapse: silence}, watchdog: {time: 2s, action: inhibit}", True),
     ],
 )
 def test_a_silence_needs_a_watchdog_that_acts(keys: str, *, is_right: bool) -> None:
@@ -365,6 +367,18 @@ def test_a_silence_needs_a_watchdog_that_acts(keys: str, *, is_right: bool) -> N
         assert parsed(text).drives[0].lease.on_lapse == "silence"
     else:
         assert "nothing stops feeder then: the roster gives it no watchdog" in only(text)
+
+
+def test_a_silence_by_the_default_of_leases_needs_a_watchdog_that_acts() -> None:
+    drives = [("feeder", 11, "8200vector")]
+    top = roster_text(drives, sections="lease: {on_lapse: silence}")
+    assert "nothing stops feeder then: the roster gives it no watchdog" in only(top)
+
+
+def test_a_family_without_stop_and_watchdog_is_told_to_hold() -> None:
+    for lease in ("lease: {required: true}", "lease: {on_lapse: silence}"):
+        text = roster_text([("feeder", 11, "generic")], drive=lease)
+        assert only(text).endswith(", write on_lapse: hold")
 
 
 def test_missing_keys_are_asked_for_with_what_to_give(golden: Golden) -> None:

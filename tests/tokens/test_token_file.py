@@ -113,7 +113,9 @@ GOOD = {
     [
         ("", "no JSON"),
         ("[]", "the document"),
-        (document(version=2), "version"),
+        (document(version=2), "it has version 2, and this lecombus knows 1"),
+        (document(GOOD | {"more": 1}, version=2), "it has version 2, and this lecombus knows 1"),
+        (document(version=0), "version"),
         (document(GOOD, GOOD), "two tokens have the same name"),
         (document(GOOD, GOOD | {"name": "b"}), "two tokens have the same sha256"),
         (document(GOOD | {"scopes": []}), "tokens.0.scopes"),
@@ -134,6 +136,14 @@ def test_a_file_that_is_none_is_refused_as_a_whole(tmp_path: Path, text: str, sa
     with pytest.raises(OperationError, match=says) as caught:
         read_tokens(path)
     assert "0" * 20 not in str(caught.value), "no digest stands in an error"
+
+
+def test_a_file_of_a_later_version_asks_for_that_lecombus(tmp_path: Path) -> None:
+    path = tmp_path / "tokens"
+    path.write_text(document(version=2))
+    with pytest.raises(OperationError) as caught:
+        read_tokens(path)
+    assert caught.value.remedy == "install the lecombus that wrote it, or a later one"
 
 
 @pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])

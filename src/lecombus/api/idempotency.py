@@ -42,6 +42,7 @@ from starlette.responses import Response
 from lecombus.api.answers import STATUS_BY_KIND, ProblemDocument, RefusedRequestError
 from lecombus.api.decimal_json import short
 from lecombus.api.error_answers import known_error, unexpected_error
+from lecombus.api.scopes import LEASE_HEADER
 from lecombus.errors import LecombusError
 from lecombus.journal.journal import Journal
 from lecombus.journal.journal_file import JournalFileError
@@ -352,10 +353,16 @@ def time_left(request: Request, expires_s: float | None) -> Callable[[], float |
 
 
 def content_of(request: Request, body: bytes) -> bytes:
-    """Return a digest that differs between different requests with the same key."""
+    """Return a digest that differs between different requests with the same key.
+
+    The token of the lease is part of it: a controller that has taken a new lease and counts its
+    keys from 1 again must not be told what was done under the one before.
+    """
     scope = request.scope
     digest = sha256()
-    for part in (scope["method"].encode(), scope["path"].encode(), scope["query_string"], body):
+    tokens = [token.strip().encode() for token in request.headers.getlist(LEASE_HEADER)]
+    what = (scope["method"].encode(), scope["path"].encode(), scope["query_string"], body)
+    for part in (*what, *tokens):
         digest.update(len(part).to_bytes(8, "big"))
         digest.update(part)
     return digest.digest()

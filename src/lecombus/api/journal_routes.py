@@ -7,7 +7,7 @@ written giving way to other tasks. A client that wants all rows asks again behin
 from __future__ import annotations
 
 from collections.abc import Awaitable, Mapping
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Annotated, ClassVar, Final, TypeVar
 
 import anyio.lowlevel
@@ -210,5 +210,8 @@ def unix_ms(text: str) -> int:
         raise refusal(
             f"since takes a time, not {shown(text)}", f"write one {TIME_EXAMPLE}"
         ) from exc
-    aware = time if time.tzinfo is not None else time.replace(tzinfo=UTC)
-    return max(0, round(aware.timestamp() * 1000))
+    if time.tzinfo is None:  # taken for UTC it would be hours off where a local time was meant
+        raise refusal(
+            f"since takes a time with its zone, not {shown(text)}", f"write one {TIME_EXAMPLE}"
+        )
+    return max(0, round(time.timestamp() * 1000))

@@ -18,7 +18,7 @@ from lecombus.api.decimal_json import short
 from lecombus.api.limits import LEASES_PATH
 from lecombus.api.request_checks import read_body, refuse_query
 from lecombus.api.request_models import NAME, LeaseBody
-from lecombus.api.scopes import reaches, require_drives, require_target
+from lecombus.api.scopes import LEASE_HEADER, reaches, require_drives, require_target
 from lecombus.leases import HeldLease
 from lecombus.operations.facade import Operations
 from lecombus.operations.lease_operations import LEASE, Leases
@@ -108,7 +108,13 @@ class LeaseRoutes:
         refuse_query(request)
         name = lease_name(request)
         self._check_reach(name)
-        lease = self._leases.release(name, LEASE.get())
+        token = LEASE.get()
+        if not token:
+            raise refused(
+                f"the request has no token of lease {name}: it was not given up",
+                f"send the token in the header {LEASE_HEADER}",
+            )
+        lease = self._leases.release(name, token)
         return json_response(
             {"name": lease.name, "number": lease.number, "drives": list(lease.drives)}
         )

@@ -59,6 +59,9 @@ NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,59}")
 """The name of a lease."""
 
 LEASE_TARGETS: Final = 100
+LARGEST_COUNTER: Final = 2**53
+"""Larger numbers lose digits in programs that take every number of JSON for a double."""
+
 
 EXPONENT_LIMIT: Final = 30
 """A number such as 1E+999999 is a few bytes here and a megabyte once written out."""
@@ -288,14 +291,14 @@ class LeaseBody(Body):
         "targets": f"a list of 1 to {LEASE_TARGETS} names of drives and groups",
         "time": 'a duration such as "2s", at most the `lease.time` of each drive',
         "token": "what the answer to taking it had as `token`",
-        "counter": "a whole number, larger with each renewal",
+        "counter": f"a whole number, 0 to {LARGEST_COUNTER}, larger with each renewal",
         "take_over": "the name of the lease that holds the drives",
     }
     example: ClassVar[str] = (
         '{"targets": ["feeder"], "time": "2s", "counter": 1}, or {"token": "..", "counter": 2}'
     )
 
-    counter: Annotated[int, Field(ge=0, le=2**53, description=right["counter"])]
+    counter: Annotated[int, Field(ge=0, le=LARGEST_COUNTER, description=right["counter"])]
     targets: Annotated[
         list[str] | None,
         Field(min_length=1, max_length=LEASE_TARGETS, description=right["targets"]),

@@ -38,7 +38,9 @@ from lecombus.operations.lease_operations import LEASE
 from lecombus.parameters import Code
 from lecombus.tokens.grants import Scope
 
-__all__ = ["NEEDS", "Need", "Of", "guarded", "reaches", "require_drives", "require_target"]
+__all__ = [
+    "LEASE_HEADER", "NEEDS", "Need", "Of", "guarded", "reaches", "require_drives", "require_target"
+]  # fmt: skip
 
 logger = logging.getLogger(__name__)
 

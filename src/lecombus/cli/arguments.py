@@ -37,6 +37,7 @@ __all__ = [
     "CommandWithNumbers",
     "DaemonOptions",
     "Given",
+    "Whole",
     "Word",
     "check_port_options",
     "daemon_options",
@@ -136,6 +137,18 @@ class Word(click.ParamType[T]):
             return self._read(value.removeprefix(_HIDDEN))
         except click.BadParameter as exc:
             self.fail(exc.message, param, ctx)
+
+
+class Whole(click.IntRange):
+    """A whole number between two bounds; what is none is told with the bounds."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """Read a number; a default is one."""
+        try:
+            return int(super().convert(value, param, ctx))
+        except click.BadParameter:
+            most = "or more" if self.max is None else f"to {self.max}"
+            self.fail(f"{value} is no whole number of {self.min} {most}", param, ctx)
 
 
 def _code(word: str) -> Code:

@@ -12,11 +12,13 @@ import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
+from difflib import get_close_matches
+from itertools import chain, islice
 from typing import Any, Final
 
 import click
 
-from lecombus.cli.arguments import DaemonOptions, Word, daemon_options
+from lecombus.cli.arguments import DaemonOptions, Whole, Word, daemon_options
 from lecombus.cli.daemon_access import ask, show
 from lecombus.cli.document_rows import Document
 from lecombus.cli.exits import CommandError, Exit
@@ -60,9 +62,7 @@ def _time(word: str) -> str:
 
 @click.group("journal", invoke_without_command=True)
 @click.option("--since", type=Word("time", _time), help="From a local time on, or from 8h ago on.")
-@click.option(
-    "--last", type=click.IntRange(1, PAGE), help="So many of the newest lines; with --json rows."
-)
+@click.option("--last", type=Whole(1, PAGE), help="So many of the newest lines; with --json rows.")
 @click.option("--drive", default="", help="Only the rows of a drive and its groups, or of a group.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print CSV.")
 @click.option("--follow", is_flag=True, help="Print new rows as they come, until Ctrl-C.")
@@ -94,6 +94,11 @@ def journal_command(
     if as_csv and daemon.as_json:
         raise CommandError(Exit.USAGE, "--csv and --json are both given", "give one")
     rows = _rows(daemon, since, last or 100, drive, follow=follow)
+    if drive and not follow:
+        first = list(islice(rows, 1))
+        if not first:
+            _say_if_unknown(daemon, drive)
+        rows = chain(first, rows)
     if daemon.as_json:
         for row in rows:
             click.echo(json.dumps(row, ensure_ascii=False))
@@ -143,6 +148,23 @@ def _rows(
             time.sleep(FOLLOW_S)
         more = {"since": since} if since is not None and page["next"] is not None else {}
         page = ask(daemon, "/v1/journal", after=str(behind), limit=str(PAGE), **more, **of).data
+
+
+def _say_if_unknown(daemon: DaemonOptions, drive: str) -> None:
+    """Say that the roster has no drive and no group of a name of which there are no rows.
+
+    A name that was in the roster before is right all the same, so this is no error.
+    """
+    try:
+        groups = ask(daemon, "/v1/groups").data["groups"]
+    except CommandError:
+        return
+    names = {name for one in groups for name in (one["group"], *one["members"])}
+    if drive not in names:
+        near = get_close_matches(drive, sorted(names), 1)
+        hint = f"did you mean {near[0]}?" if near else f"they are: {', '.join(sorted(names))}"
+        text = f"no row is about {drive}, and there is no drive and no group of that name; {hint}"
+        click.echo(harmless(text), err=True)
 
 
 def _newest(daemon: DaemonOptions, last: int, of: Mapping[str, str]) -> Document:

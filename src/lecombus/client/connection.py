@@ -209,7 +209,9 @@ class Connection:
         said = str(exc).upper()
         if "ALERT" in said and ("CERTIFICATE" in said or "UNKNOWN_CA" in said):
             problem = f"{self.where} does not accept your certificate, or asks for one: {exc}"
-            return UnreachableError(problem, "name your certificate with its key")
+            return UnreachableError(
+                problem, "name your certificate with its key (certificate; --certificate FILE)"
+            )
         if isinstance(exc, httpx2.ReadTimeout | httpx2.WriteTimeout):
             problem = f"the daemon at {self.where} does not answer in time"
             return AnswerLostError(problem, "look at its log")
@@ -225,7 +227,9 @@ class Connection:
             return AnswerLostError(problem, "what was asked may have happened; look at its log")
         if "CERTIFICATE" in said:
             problem = f"the certificate of {self.where} is not trusted: {exc}"
-            return UnreachableError(problem, "name the CA that signed it")
+            return UnreachableError(
+                problem, "name the file of the CA that signed it (ca; --ca FILE)"
+            )
         if is_because_of(exc, socket.gaierror):
             problem = f"the host of {self.where} is not known: {exc}"
             return UnreachableError(problem, "look at its name, and at this machine's name server")

@@ -230,7 +230,7 @@ def _check_default_lapse(roster: Fields, drives: list[Fields], mistakes: Mistake
         if needs and not says:
             check_lapse(drive, fallback, drive.place("lease"), mistakes)
         action = given.get("on_lapse", fallback) if given is not None else fallback
-        if needs and action == "silence":
+        if action == "silence":  # also where none is required: a client may take one all the same
             check_silence(drive, drive.place("lease"), mistakes)
 
 
@@ -267,8 +267,13 @@ def check_lapse(drive: Fields, action: str, place: Position, mistakes: Mistakes)
         return
     if not knows_stop(family(name), StopAction(action)):
         what = f"on_lapse is {action}, but family {name} knows no {action}"
-        known = [word for word in StopAction if knows_stop(family(name), word)]
-        mistakes.note(place, what, f"write on_lapse: {one_of([*known, 'silence', 'hold'])}")
+        mistakes.note(place, what, f"write on_lapse: {one_of(_lapses_of(name))}")
+
+
+def _lapses_of(name: str) -> list[str]:
+    """Return what a lapse may do to drives of a family: silence needs a watchdog."""
+    known: list[str] = [word for word in StopAction if knows_stop(family(name), word)]
+    return [*known, *(["silence"] if family(name).watchdog is not None else []), "hold"]
 
 
 def check_silence(drive: Fields, place: Position, mistakes: Mistakes) -> None:
@@ -276,11 +281,16 @@ def check_silence(drive: Fields, place: Position, mistakes: Mistakes) -> None:
     watchdog = drive.get("watchdog")
     if watchdog is UNUSABLE or (isinstance(watchdog, Fields) and watchdog.get("action") != "none"):
         return  # of what cannot be read the mistake is noted already
+    name = drive.get("family")
+    known = [*StopAction, "hold"] if name is None else _lapses_of(name)
+    right = f"write on_lapse: {one_of(word for word in known if word != 'silence')}"
+    if name is None or family(name).watchdog is not None:
+        right = f"give it a `watchdog`, or {right}"
     mistakes.note(
         place,
         f"on_lapse is silence, but nothing stops {drive.get('name')} then: the roster gives it no "
         "watchdog that acts",
-        "give it a `watchdog`, or write on_lapse: quick-stop, inhibit or hold",
+        right,
     )
 
 

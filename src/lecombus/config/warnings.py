@@ -265,9 +265,7 @@ def _unwatched(roster: Roster) -> Iterator[str]:
 
 def _leases(drive: DriveEntry) -> Iterator[tuple[str, str]]:
     """Warn of what the end of a lease cannot do, or does besides."""
-    lease, watchdog = drive.lease, drive.watchdog
-    if not lease.required:
-        return
+    lease, watchdog = drive.lease, drive.watchdog  # also of one that clients need not take
     if lease.on_lapse == "hold":
         yield drive.name, "on_lapse hold lets the drive run on, and shows as a permanent alarm"
     elif (
@@ -280,6 +278,12 @@ def _leases(drive: DriveEntry) -> Iterator[tuple[str, str]]:
             drive.name,
             f"on_lapse silence ends in {watchdog.action} by its watchdog, which stop_fallback none "
             "does not change",
+        )
+    elif lease.on_lapse == "inhibit" and drive.stop_fallback == "none":
+        yield (
+            drive.name,
+            "on_lapse inhibit lets the motor coast, which stop_fallback none does not change: "
+            "quick-stop keeps the load",
         )
 
 

@@ -41,6 +41,7 @@ __all__ = [
     "write_tokens",
 ]
 
+VERSION: Final = 1
 LARGEST: Final = 256 * 1024
 """Bytes of a file that is read."""
 
@@ -96,7 +97,7 @@ class TokenEntry(BaseModel):
 class _Document(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    version: Annotated[int, Field(ge=1, le=1)]
+    version: Annotated[int, Field(ge=1, le=VERSION)]
     tokens: Annotated[tuple[TokenEntry, ...], Field(max_length=MOST_TOKENS)]
 
     @field_validator("tokens")
@@ -166,7 +167,12 @@ def read_tokens(path: Path, *, of_any_user: bool = False, owners: Collection[int
         remedy = "let the daemon's user read it: owner root, group lecombus, mode 0640"
         raise refused(path, f"it cannot be read ({exc.strerror})", remedy) from exc
     try:
-        return Tokens(_Document.model_validate(json.loads(data)).tokens)
+        found = json.loads(data)
+        version = found.get("version") if isinstance(found, dict) else None
+        if type(version) is int and version > VERSION:  # its keys are not known here
+            what = f"it has version {version}, and this lecombus knows {VERSION}"
+            raise refused(path, what, "install the lecombus that wrote it, or a later one")
+        return Tokens(_Document.model_validate(found).tokens)
     except ValidationError as exc:
         first = exc.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(part) for part in first["loc"]) or "the document"
@@ -217,7 +223,7 @@ def write_tokens(path: Path, tokens: Sequence[TokenEntry]) -> None:
     Raises:
         OSError: It cannot be written; the old file is there as before.
     """
-    document = _Document(version=1, tokens=tuple(tokens))
+    document = _Document(version=VERSION, tokens=tuple(tokens))
     text = json.dumps(document.model_dump(mode="json"), indent=1) + "\n"
     place = path.resolve() if path.exists() else path
     mode, owner, group = _kept(place)
