@@ -29,7 +29,7 @@ Lane = tuple[str, str]
 
 
 @dataclass(slots=True)
-class Stops:
+class LaneStops:
     """Stops of one target and kind."""
 
     under_way: int = 0
@@ -40,7 +40,7 @@ class StopLanes:
     """The stops that were taken and have not ended."""
 
     def __init__(self) -> None:
-        self._lanes: dict[Lane, Stops] = {}
+        self._lanes: dict[Lane, LaneStops] = {}
 
     def has_room(self, lane: Lane) -> bool:
         """Whether a stop can be taken that may be of something that there is not."""
@@ -48,7 +48,7 @@ class StopLanes:
 
     def take(self, lane: Lane, stop: Incoming) -> bool:
         """Take a stop; returns whether it goes out now. Otherwise `ended` gives it."""
-        stops = self._lanes.setdefault(lane, Stops())
+        stops = self._lanes.setdefault(lane, LaneStops())
         if stops.under_way < AT_ONCE:
             stops.under_way += 1
             return True
