@@ -398,7 +398,7 @@ def give_to_group(path: Path, group: str) -> None:
 
 
 def remove_stale(path: Path) -> None:
-    """Remove what a dead process left behind.
+    """Remove the socket of a process that has ended.
 
     Raises:
         OperationError: Another process listens there, or it is not a socket.

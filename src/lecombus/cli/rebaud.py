@@ -142,9 +142,9 @@ def _check_words(roster: Roster, old: int, new: int, *, generic: bool) -> None:
         CommandError: It cannot be done like this.
     """
     if new == old:
-        named = f"from {old} to {new} baud" if old != roster.line.baud else f"{new} baud already"
-        problem = f"{roster.file} has {named}"
-        remedy = "name another rate, or by --from the one at which some drives are"
+        has = f"{roster.file} has" if old == roster.line.baud else "--from names"
+        problem = f"{has} {new} baud already"
+        remedy = "name another rate, or give with --from the present rate of the drives"
         raise CommandError(Exit.USAGE, problem, remedy)
     port = roster.line.port
     if not port.startswith("/"):
@@ -308,7 +308,7 @@ def _carry(work: Rebaud, procedure: Procedure, roster: Roster, shown: Shown) -> 
         try:
             run(carry_out, procedure, roster, subjects, interrupt, watch)
         finally:
-            forget_terminal()  # else the end of the bar would fail, and hide where the drives are
+            forget_terminal()  # else the end of the bar would fail, and the report would be missing
 
 
 def _try(
@@ -336,7 +336,7 @@ def _wants_back(work: Rebaud, options: RebaudOptions) -> bool:
         for drive in work.drives:
             if drive.why:
                 click.echo(f"{drive.name}: {drive.why}")
-        return click.confirm(f"Not every drive came over. Bring all back to {work.old} baud?")
+        return click.confirm(f"Not every drive was changed. Set all back to {work.old} baud?")
     return False
 
 

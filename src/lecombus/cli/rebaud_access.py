@@ -10,7 +10,7 @@ import anyio
 
 from lecombus.cli.own_line import OwnPort, own_port
 from lecombus.cli.screen import forget_terminal
-from lecombus.cli.signals import heeded
+from lecombus.cli.signals import ending_signals
 from lecombus.config import Roster
 from lecombus.drives import family
 from lecombus.drives.procedures import ReadAttempt, WriteAttempt
@@ -76,7 +76,7 @@ async def _listen(
     *,
     task_status: anyio.abc.TaskStatus[None] = anyio.TASK_STATUS_IGNORED,
 ) -> None:
-    with anyio.open_signal_receiver(signal.SIGINT, *heeded()) as signals:
+    with anyio.open_signal_receiver(signal.SIGINT, *ending_signals()) as signals:
         task_status.started()
         async for _ in signals:
             forget_terminal()

@@ -46,7 +46,7 @@ from lecombus.supervision.line_remarks import SECOND_ANSWERS_REMARK
 __all__ = ["scan_command"]
 
 ALL_BAUDS = (9600, 19200, 4800, 2400, 1200)
-"""The rate ex works first, then the most usual one."""
+"""The factory setting first, then the most usual one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +189,7 @@ def _on_own_port(options: ScanOptions, line: LineEntry) -> int:
     others = others_at(line.port)
     if others and scan.found:
         click.echo(f"{shared(line.port, others)}: {END_IT}, and scan again", err=True)
-    elif twice := _remark_twins(scan, second):
+    elif twice := _remark_shared_addresses(scan, second):
         click.echo(twice, err=True)
     if not scan.found:
         if others:
@@ -248,7 +248,7 @@ async def _line_of(daemon: Line) -> LineEntry:
     """Ask the daemon what line it has."""
     line = (await daemon.ask("/v1/line")).data
     if "port" not in line or "baud" not in line:
-        problem = f"the daemon at {daemon.where} does not know scans"
+        problem = f"the daemon at {daemon.where} cannot scan"
         raise CommandError(Exit.UNREACHABLE, problem, "update it, or scan with --port")
     return LineEntry(name="line", port=str(line["port"]), baud=int(line["baud"]))
 
@@ -353,13 +353,13 @@ def _as_json(one: FoundDrive) -> dict[str, Any]:
     }
 
 
-def _remark_twins(scan: Scan, second: SecondAnswers) -> str:
+def _remark_shared_addresses(scan: Scan, second: SecondAnswers) -> str:
     """Remark drives that share an address; returns what is said where that is not clear."""
-    texts = second.twins()
+    texts = second.shared_addresses()
     scan.found[:] = [
         replace(one, remarks=(*one.remarks, text))
         if (text := texts.get((one.address, one.baud)))
         else one
         for one in scan.found
     ]
-    return "" if texts else second.doubt()
+    return "" if texts else second.unexplained()

@@ -54,7 +54,7 @@ class SecondAnswers:
             place = int(name.rpartition(" ")[2]), baud  # `read_address` says `address 12`
             self.behind[place] = max(self.behind.get(place, 0), number)
 
-    def twins(self) -> Mapping[Place, str]:
+    def shared_addresses(self) -> Mapping[Place, str]:
         """Return what is said of each drive that shares its address."""
         known, answers = sum(self.behind.values()), self.answers.total()
         found = {}
@@ -68,7 +68,7 @@ class SecondAnswers:
                 )
         return found
 
-    def doubt(self) -> str:
+    def unexplained(self) -> str:
         """Return what is said where it is not clear what they come from; empty: nothing."""
         if self.most < LEAST:
             return ""
