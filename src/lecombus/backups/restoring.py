@@ -295,7 +295,7 @@ class Work:
 
 
 class WithoutProgress:
-    """Passes on what is said, and not how far a reading came."""
+    """Passes on messages, and not the progress of a reading."""
 
     def __init__(self, inner: Listener) -> None:
         self._inner = inner

@@ -162,9 +162,9 @@ class HttpDrive:
         return await self._act("PUT", f"{self._path}/codes/{code}", document | self._ended_by())
 
     async def inhibit(self) -> WriteAttempt:
-        """Inhibit it: a stop, which waits for nothing, and ends none of what is written later.
+        """Inhibit it by a stop, which goes first and does not end what is written later.
 
-        A stop by another one since the mark was taken is no less one because ours came too.
+        If another client stopped the drive since the mark was taken, this counts as stopped too.
         """
         said = await self._act("POST", "/v1/stop", {"action": "inhibit", "target": self._name})
         try:

@@ -1,8 +1,8 @@
-"""Answers of a scan that nobody asked for: of a second drive at an address, or delivered twice.
+"""Second answers in a scan: from a second drive at an address, or delivered twice.
 
-The line counts them (`exchange_loop.second_answers`) and says behind whose answers they came, where
-that is certain. A drive behind whose answers far more of them come than behind those of the others
-shares its address; otherwise it may be the line.
+The line counts them (`exchange_loop.second_answers`). Where it is certain, it says after whose
+answers they came. If far more of them come after the answers of one drive than of the others, two
+drives have its address. Otherwise the line may be the cause.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ Handler = Callable[[int, FrameType | None], None]
 
 
 def ending_signals() -> list[signal.Signals]:
-    """Return the signals that end the work: not those that `nohup` keeps away."""
+    """Return the signals that end the work, without those that are ignored, as under `nohup`."""
     return [one for one in _LIKE_CTRL_C if signal.getsignal(one) is not signal.SIG_IGN]
 
 
