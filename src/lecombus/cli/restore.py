@@ -340,7 +340,7 @@ def show_plan(plan: RestorePlan, drive: str, *, enabled: bool | None, enable: bo
         drive: The drive's name.
         enabled: It is not inhibited now, though a quick stop may hold it; None where it does not
             say.
-        enable: Its inhibit shall be lifted at the end.
+        enable: Its inhibit is lifted at the end.
     """
     if on_terminal():
         click.echo(headline(plan, drive))
