@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from lecombus.api.server import Served
-from lecombus.daemon import PING, Notifier, tell_goodbye
+from lecombus.daemon import PING, Notifier, log_last_stop
 from lecombus.drives import StopAction
 from lecombus.operations.operation_reports import GroupReport, WriteReport
 from lecombus.parameters import Code
@@ -103,7 +103,7 @@ def test_a_drive_that_may_run_on_after_the_end_is_an_error_with_its_name(
         WriteReport(name, Code(40), outcome) for name, outcome in zip("ab", outcomes, strict=True)
     )
     with caplog.at_level("INFO"):
-        tell_goodbye(
+        log_last_stop(
             StopAction.INHIBIT, GroupReport("all", "one-by-one", members[-1].outcome, members)
         )
     (record,) = caplog.records

@@ -314,7 +314,7 @@ def test_a_stop_at_the_end_that_cannot_be_sent_is_an_error_in_the_log(
         await plant.online()
         plant.end.unplug()
         await until(lambda: not plant.site.worker.is_open)
-        await Daemon(plant.roster, None)._say_goodbye(plant.site)
+        await Daemon(plant.roster, None)._stop_at_end(plant.site)
 
     with_plant(test, roster_text(AB, sections="on_shutdown: inhibit"))
     (text,) = [one for one in caplog.messages if "shutdown-stop" in one]

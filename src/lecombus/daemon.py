@@ -129,7 +129,7 @@ def first_error(error: BaseException) -> BaseException:
     return error
 
 
-def tell_goodbye(action: StopAction, report: GroupReport) -> None:
+def log_last_stop(action: StopAction, report: GroupReport) -> None:
     """Log the result of `on_shutdown`; a drive that may still run must be checked by a person."""
     doubtful = ",".join(one.drive for one in report.members if not one.outcome.is_good)
     level, more = (logging.ERROR, f" not-stopped={doubtful}") if doubtful else (logging.INFO, "")
@@ -191,7 +191,7 @@ class Daemon:
                     await journal.close()
 
     async def _run(self, keeping: Keeping, journal: Journal | None, signals: Signals) -> None:
-        """Run the line and its faces."""
+        """Run the line and its interfaces."""
         clock = anyio.current_time
         runtime = self.runtime = LineRuntime(
             self._roster, opener_for(self._roster), clock, time.time, state=keeping.state
@@ -209,9 +209,9 @@ class Daemon:
                 self._kept_keys = None
                 logger.warning("event=keys-not-kept reason=%s", exc)
         async with anyio.create_task_group() as line:
-            async with anyio.create_task_group() as faces:
-                faces.start_soon(self._watch_signals, faces, signals)
-                await self._serve(faces, runtime, journal)
+            async with anyio.create_task_group() as interfaces:
+                interfaces.start_soon(self._watch_signals, interfaces, signals)
+                await self._serve(interfaces, runtime, journal)
                 gc.freeze()  # what lives by now lives to the end
                 gc.enable()
                 line.start_soon(keeping.run, partial(runtime.store.note_line, "state"))
@@ -220,13 +220,13 @@ class Daemon:
                 line.start_soon(runtime.supervision.drives.run)
                 line.start_soon(runtime.supervision.leases.run)
                 line.start_soon(runtime.worker.run)
-                faces.start_soon(self._tick, faces, runtime)
+                interfaces.start_soon(self._tick, interfaces, runtime)
                 await self._end.wait()
                 self._notifier.tell("STOPPING=1")
                 logger.info("event=stopping line=%s", self._roster.line.name)
                 runtime.operations.close()
-                await self._say_goodbye(runtime)
-                faces.cancel_scope.cancel()
+                await self._stop_at_end(runtime)
+                interfaces.cancel_scope.cancel()
             runtime.operations.actions.look(at_end=True)
             runtime.worker.close()
             line.cancel_scope.cancel()
@@ -249,13 +249,13 @@ class Daemon:
         self._end.set()
 
     async def _serve(
-        self, faces: anyio.abc.TaskGroup, runtime: LineRuntime, journal: Journal | None
+        self, interfaces: anyio.abc.TaskGroup, runtime: LineRuntime, journal: Journal | None
     ) -> None:
         api = self._roster.api
         readers = EventReaders(
             runtime.events, runtime.supervision.event_sources.look, anyio.current_time
         )
-        faces.start_soon(readers.run)
+        interfaces.start_soon(readers.run)
         app = create_app(
             runtime.operations,
             runtime.store,
@@ -278,8 +278,8 @@ class Daemon:
         doors = await self._doors(api, runtime)
         for watched in (self._tokens, self._tls):
             if watched is not None:
-                faces.start_soon(watched.run)
-        served = await faces.start(partial(serve, doors=doors), app, Path(api.socket), http)
+                interfaces.start_soon(watched.run)
+        served = await interfaces.start(partial(serve, doors=doors), app, Path(api.socket), http)
         logger.info("event=serving socket=%s http=%s", served.socket_path, served.address)
 
     async def _doors(self, api: ApiEntry, runtime: LineRuntime) -> Doors:
@@ -300,10 +300,10 @@ class Daemon:
 
     # ---- signals and the service manager ----------------------------------------------------
 
-    async def _watch_signals(self, faces: anyio.abc.TaskGroup, signals: Signals) -> None:
+    async def _watch_signals(self, interfaces: anyio.abc.TaskGroup, signals: Signals) -> None:
         async for number in signals:
             if number == signal.SIGHUP:
-                faces.start_soon(self._reload_by_signal)
+                interfaces.start_soon(self._reload_by_signal)
             elif not self._end.is_set():
                 self.end(signal.Signals(number).name)
 
@@ -388,13 +388,13 @@ class Daemon:
         text = f"the last reload was refused, the old roster is used: {first}{more}"
         runtime.store.note_line(RELOAD, text)
 
-    async def _tick(self, faces: anyio.abc.TaskGroup, runtime: LineRuntime) -> None:
+    async def _tick(self, interfaces: anyio.abc.TaskGroup, runtime: LineRuntime) -> None:
         """Report to the service manager, and update the store, once a second."""
         while True:
             runtime.supervision.watch.look()
             if not self._looking and runtime.supervision.watch.wants_look_at_port():
                 self._looking = True
-                faces.start_soon(self._look_at_port, runtime)
+                interfaces.start_soon(self._look_at_port, runtime)
             if not self._ready and runtime.tried_all():
                 self._ready = True
                 self._notifier.tell("READY=1", f"STATUS=line {self._roster.line.name} is open")
@@ -439,7 +439,7 @@ class Daemon:
             return False, f"the line task has made no progress for {still_s:.1f} s"
         return True, f"{worker.exchanges} exchanges so far"
 
-    async def _say_goodbye(self, runtime: LineRuntime) -> None:
+    async def _stop_at_end(self, runtime: LineRuntime) -> None:
         """Do to the drives what the roster wants done at the end."""
         wanted = runtime.roster.on_shutdown
         if wanted == "nothing":
@@ -453,7 +453,7 @@ class Daemon:
             except LecombusError as exc:
                 logger.error("event=shutdown-stop-failed action=%s reason=%s", action, exc)
             else:
-                tell_goodbye(action, report)
+                log_last_stop(action, report)
         if scope.cancelled_caught:
             logger.error("event=shutdown-stop-failed action=%s reason=too slow", action)
 
@@ -480,7 +480,7 @@ class Notifier:
         self._unsent: list[str] = []
 
     def tell(self, *states: str) -> None:
-        """Send states such as `READY=1`; a manager that does not listen is not our trouble."""
+        """Send states such as `READY=1`; errors are ignored."""
         if not self._address:
             return
         waiting = [*self._unsent, "\n".join(states)]

@@ -140,7 +140,7 @@ async def _main(roster: Roster, seconds: float | None, socket: Path, said: str) 
             tasks.cancel_scope.cancel()
     finally:
         view.leave()  # an error, too, is shown below the table and with the cursor shown
-    view.say_goodbye()
+    view.say_ended()
 
 
 async def _play(daemon: Daemon, view: View, seconds: float | None) -> None:
@@ -225,7 +225,7 @@ class View:
         if self._live is not None:
             self._live.stop()
 
-    def say_goodbye(self) -> None:
+    def say_ended(self) -> None:
         """Say what was done at the end."""
         print("all drives inhibited, port closed, good-bye", file=self._out, flush=True)
 

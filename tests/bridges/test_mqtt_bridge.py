@@ -13,7 +13,7 @@ import anyio.lowlevel
 import pytest
 
 from lecombus.bridges.line_follower import FollowedDrive, FollowedValue
-from lecombus.bridges.mqtt.bridge import MqttBridge, Place
+from lecombus.bridges.mqtt.bridge import MqttBridge, SentPosition
 from lecombus.bridges.mqtt.broker import BrokerError, Limits
 from lecombus.bridges.mqtt.retained import Message
 from lecombus.client import Event, Reading
@@ -48,7 +48,7 @@ def test_without_wildcards_drives_and_groups_take_the_commands_of_the_roster(
 
 
 def test_events_count_as_had_when_they_were_sent_or_are_on_the_disk(tmp_path: Path) -> None:
-    place = tmp_path / "last-event"
+    position = tmp_path / "last-event"
 
     class SlowBroker:
         sent = 0
@@ -66,22 +66,22 @@ def test_events_count_as_had_when_they_were_sent_or_are_on_the_disk(tmp_path: Pa
             hear(bridge, "R-1")
             hear(bridge, "R-2")
             await anyio.sleep(6)
-            bridge._place.write()
+            bridge._position.write()
             assert broker.sent == 1
-            assert not place.exists(), "a crash now would lose R-2"
+            assert not position.exists(), "a crash now would lose R-2"
             await anyio.sleep(6)
-            bridge._place.write()
-            assert place.read_text() == "R-2\n"
+            bridge._position.write()
+            assert position.read_text() == "R-2\n"
             hear(bridge, "R-3")
             tasks.cancel_scope.cancel()
-        bridge._place.write()
-        assert place.read_text() == "R-2\n"
+        bridge._position.write()
+        assert position.read_text() == "R-2\n"
         bridge._keep_events()  # the broker is lost
-        bridge._place.write()
-        assert place.read_text() == "R-3\n"
+        bridge._position.write()
+        assert position.read_text() == "R-3\n"
         hear(bridge, "R-4")
-        bridge._place.write()
-        assert place.read_text() == "R-4\n"
+        bridge._position.write()
+        assert position.read_text() == "R-4\n"
         assert len(made(tmp_path)._events) == 2
 
     run(script())
@@ -169,7 +169,7 @@ def test_what_stood_before_an_outage_of_the_broker_is_removed_after_it(tmp_path:
 def test_a_place_that_was_spoiled_is_not_asked_for(tmp_path: Path, kept: bytes, read: str) -> None:
     """It becomes a header of a request, which was refused for as long as the file was there."""
     (tmp_path / "last-event").write_bytes(kept)
-    assert Place(tmp_path / "last-event").read() == read
+    assert SentPosition(tmp_path / "last-event").read() == read
 
 
 @pytest.mark.real
@@ -183,11 +183,11 @@ def test_a_disk_that_stalls_does_not_hold_up_the_bridge(
         return len(text)
 
     async def script() -> None:
-        place = Place(tmp_path / "last-event")
-        place.last_id = "R-1"
+        position = SentPosition(tmp_path / "last-event")
+        position.last_id = "R-1"
         monkeypatch.setattr(Path, "write_text", write)
         async with anyio.create_task_group() as tasks:
-            tasks.start_soon(place.keep)
+            tasks.start_soon(position.keep)
             while not threads:  # noqa: ASYNC110
                 await anyio.sleep(0.05)
             tasks.cancel_scope.cancel()

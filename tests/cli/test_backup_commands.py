@@ -173,7 +173,7 @@ def test_a_backup_never_replaces_something_else(run: Run, drive: Drive, tmp_path
     path.write_text("line: {name: hall-3}\n")
     ran = run("backup", "feeder", "-o", str(path))
     assert (ran.status, path.read_text()) == (2, "line: {name: hall-3}\n")
-    assert "is no backup; name another file" in ran.err
+    assert "is not a backup; name another file" in ran.err
     assert run("backup", "feeder", "-o", str(tmp_path / "no" / "f.yaml")).status == 2
     assert drive.stub.asked == []
 
@@ -673,7 +673,7 @@ def test_a_stop_by_another_one_beside_our_inhibit_ends_the_restore(
     ran = run("restore", str(path), "feeder", "--yes", "--enable")
     assert ran.status == 1
     assert any("C0011" in asked for asked in writes(drive)) is goes_on
-    assert ("stopped by another one too" in ran.err) is not goes_on
+    assert ("also stopped by another client" in ran.err) is not goes_on
 
 
 def test_a_stop_while_the_user_is_asked_ends_the_restore(

@@ -196,7 +196,7 @@ def test_whether_a_drive_may_be_restored_comes_from_its_daemon() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()
         async with behind_http(plant) as drive:
-            assert (await drive.whose()).family == "93xx"
+            assert (await drive.ask_which()).family == "93xx"
             rights = await drive.restore_rights()
             assert (rights.reason, rights.owned) == ("", ())
 

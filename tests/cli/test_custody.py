@@ -79,7 +79,7 @@ def test_a_drive_that_is_the_one_it_was_needs_no_accepting(run: Run, daemon: Dae
     stand_there(daemon, "online")
     ran = run("accept", "feeder")
     assert ran.status == 0
-    assert "is the drive it was" in ran.out
+    assert "is the same drive as before" in ran.out
     assert posted(daemon) == []
     asked = [one for one, _ in daemon.asked if "/codes/" in one]
     assert [one.partition("?")[0].rpartition("/")[2] for one in asked] == ["C1810", "C1811"]
@@ -93,7 +93,7 @@ def test_a_drive_that_says_otherwise_when_asked_again_is_not_the_one_it_was(
     ran = run("accept", "feeder")
     assert ran.status == 1
     assert "feeder is starting: C1810 reads NEW, not OLD: to be audited" in ran.err
-    assert "is the drive it was" not in ran.out
+    assert "is the same drive as before" not in ran.out
 
 
 def stand_there(daemon: DaemonStub, state: str, reason: str = "") -> None:

@@ -72,7 +72,7 @@ def test_read_stored_asks_what_is_known(run: Run, daemon: DaemonStub) -> None:
         (["feeder", "C0046", "--stored", "--address", "3", "--baud", "19200"],
          "without --port, --address, --baud would do nothing"),
         (["--port", "/dev/x", "--address", "3", "--stored", "C0046"],
-         "--stored is what a daemon knows, and --port asks none"),
+         "--stored shows what a daemon knows; with --port no daemon is asked"),
         (["--port", "/dev/x", "--address", "3", "--socket", "x.sock", "C0046"],
          "--port and a daemon are both given"),
         (["--port", "", "feeder", "C0046"], "it is empty; name the port, or leave it out"),

@@ -77,7 +77,7 @@ def test_a_roster_names_a_broker_and_options_count_more(tmp_path: Path) -> None:
 def test_the_environment_names_a_broker_where_nothing_else_does(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    with pytest.raises(CommandError, match="which broker"):
+    with pytest.raises(CommandError, match="no broker is given"):
         broker_of(given())
     monkeypatch.setenv("LECOMBUS_BROKER", "mqtt://other.example")
     assert broker_of(given()).entry.host == "other.example"

@@ -301,4 +301,4 @@ def test_verify_takes_no_choice_of_rows(
 ) -> None:
     ran = run("journal", *words, "verify")
     assert (ran.status, daemon.asked) == (2, [])
-    assert "leave out what stands before it" in ran.err
+    assert "leave out the options before it" in ran.err

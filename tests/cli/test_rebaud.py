@@ -21,7 +21,7 @@ import serial
 from cli.conftest import Run
 from cli.test_simulate import simulated
 from lecombus.cli import main, rebaud
-from lecombus.cli.rebaud import carry_out
+from lecombus.cli.rebaud_access import carry_out
 from lecombus.config import Roster, parse_roster
 from lecombus.errors import LineLostError
 from lecombus.fieldbus.lecom.rebaud import LineAccess, Subject

@@ -22,7 +22,7 @@ import pytest
 from cli.conftest import Run
 from cli.daemon_stub import DaemonStub
 from cli.test_simulate import simulated
-from lecombus.cli import scan
+from lecombus.cli import scan, scan_access
 from lecombus.cli.arguments import whole_path
 from lecombus.config import load_roster, parse_roster
 from lecombus.fieldbus.lecom.protocol.controls import bcc
@@ -347,7 +347,7 @@ class InTurn(dict[str, tuple[int, str | None]]):
 def test_a_port_that_the_daemon_opens_again_as_no_drive_answers_ends_no_scan(
     run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch, is_opened: bool
 ) -> None:
-    monkeypatch.setattr(scan, "REOPENED_WITHIN_S", 0.3)
+    monkeypatch.setattr(scan_access, "REOPENED_WITHIN_S", 0.3)
     why = "no drive answers: cat (pid 7) has /dev/x open too"
     line = {"line": "hall-3", "port": "/dev/x", "baud": 9600, "remarks": {"silence": why}}
     lost = (200, json.dumps({**line, "state": "lost"}))
@@ -374,7 +374,7 @@ def test_an_older_daemon_is_told_from_a_line_without_drives(run: Run, daemon: Da
     daemon.answers["GET /v1/drives"] = (200, json.dumps({"drives": []}))
     ran = run("scan")
     assert ran.status == 3
-    assert "does not know scans" in ran.err
+    assert "cannot scan" in ran.err
 
 
 def test_a_device_may_be_named_from_the_folder_in_use(

@@ -174,7 +174,7 @@ def test_a_running_simulator_is_told_from_another_terminal(
     assert (gone.status, gone.out) == (3, "")
     assert "no simulator answers at" in json.loads(gone.err)["problem"]
     nobody = run("simulate", "--tell", "drives")
-    assert (nobody.status, "whom to tell" in nobody.err) == (2, True)
+    assert (nobody.status, "needs the simulator" in nobody.err) == (2, True)
 
 
 def test_lines_typed_into_its_terminal_are_done(roster: Path, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Awaitable, Callable
 import anyio
 import pytest
 
-from lecombus.daemon import tell_goodbye
+from lecombus.daemon import log_last_stop
 from lecombus.drives import StopAction, Verb
 from lecombus.operations.operation_reports import GroupReport, VerbReport, WriteReport
 from lecombus.parameters import Code
@@ -124,7 +124,7 @@ def test_the_end_of_the_daemon_names_the_drives_that_may_run_on(
 ) -> None:
     async def test(plant: Plant) -> None:
         await refusing(plant)
-        tell_goodbye(QUICK, await shutdown(plant))
+        log_last_stop(QUICK, await shutdown(plant))
 
     with_plant(test, roster())
     (said,) = [one for one in caplog.messages if "event=shutdown-stop " in one]

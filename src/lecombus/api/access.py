@@ -6,12 +6,12 @@
 `site_problem` is asked in both cases. It refuses hosts that are not this machine, so that no web
 page can reach the drives through a browser (DNS rebinding). What a browser sends for a page of
 another origin is refused too, by its `Origin` and `Sec-Fetch-Site`: such a page could not read the
-answer, but could send request after request. A request without a host, with two, or with one that
-is none, is not well made (RFC 9112, 3.2). After a refusal the connection ends.
+answer, but could send request after request. A request must have one valid host (RFC 9112, 3.2).
+After a refusal the connection ends.
 
-Over the Unix socket any host may be named, or none: only programs reach it, each calls it by
-another name, and a stop counts more. But a browser behind a proxy can reach it, so a page of
-another origin is refused there too, also its stop (`OwnPagesAccess`).
+Over the Unix socket the host is not checked: only programs reach it, they use different names for
+it, and a stop must not be refused for its host. But a browser behind a proxy can reach it, so a
+page of another origin is refused there too, also its stop (`OwnPagesAccess`).
 """
 
 from __future__ import annotations

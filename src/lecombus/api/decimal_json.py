@@ -61,7 +61,7 @@ class Repeating(dict[str, object]):
 
 
 class NotJsonError(ValueError):
-    """A text is not the JSON we take; the message says why."""
+    """A text is not JSON as it is accepted here; the message says why."""
 
 
 def encode(value: Json) -> str:

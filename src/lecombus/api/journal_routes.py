@@ -133,12 +133,12 @@ class JournalRoutes:
     async def verify(self, request: Request) -> Response:
         """Whether the chain of hashes is whole, and holds a head that was logged."""
         query, journal = read_query(request, VerifyQuery), self._there()
-        told = None
+        logged = None
         if query.head:
             number, _, digest = query.head.partition(":")
-            told = Head(int(number), bytes.fromhex(digest))
+            logged = Head(int(number), bytes.fromhex(digest))
         async with self._verifying:
-            found = await answered(journal.verify(told))
+            found = await answered(journal.verify(logged))
         return json_response(
             {
                 "whole": not found.problem,

@@ -198,7 +198,7 @@ class Refusals:
                 "too-many-refusals",
                 f"{MANY} such requests of this client to {target} were refused within "
                 f"{WINDOW_S:.0f} s: nothing was done",
-                remedy="mend what they were refused for, then ask again; stops are always taken",
+                remedy="remove the reason of the refusals, then ask again; stops are always taken",
                 drive=target,
                 headers={"Retry-After": str(left_s)},
             )

@@ -333,10 +333,9 @@ def bound_socket(path: Path, group: str) -> socket.socket:
 def locked_folder(path: Path, wait_s: float) -> Iterator[bool]:
     """Keep other daemons from making or removing sockets beside a path.
 
-    The folder itself is locked: a file for the lock would be left behind, for its removal has the
-    race that the lock shall end. Everyone who may read the folder may lock it, so a lock that is
-    held for longer than any daemon does keeps none from its start. A folder that cannot be locked
-    is used without, too.
+    The folder itself is locked. A lock file would have to be removed, with the race that the lock
+    must prevent. Everyone who may read the folder may lock it: so a lock that is held for longer
+    than a daemon needs is ignored. A folder that cannot be locked is used without a lock.
 
     Args:
         path: The socket's.
@@ -398,7 +397,7 @@ def give_to_group(path: Path, group: str) -> None:
 
 
 def remove_stale(path: Path) -> None:
-    """Remove what a dead process left behind.
+    """Remove the socket of a process that has ended.
 
     Raises:
         OperationError: Another process listens there, or it is not a socket.

@@ -154,9 +154,9 @@ def make_plan(
             same[code] = value
         else:
             steps.append(step(family, code, present, value))
-    strange = strangers(backup, family, now)
+    strange = signs_of_another_drive(backup, family, now)
     blockers = (*wrong_values, *(() if other_drive else strange))
-    remarks = (*outside(family, steps), *(strange if other_drive else ()))
+    remarks = (*values_not_in_manual(family, steps), *(strange if other_drive else ()))
     return RestorePlan(
         family, tuple(steps), same, tuple(skips), tuple(blockers), tuple(remarks), saving(family)
     )
@@ -203,7 +203,9 @@ def step(family: Family, code: Code, now: Value, value: Value) -> RestoreStep:
     )
 
 
-def strangers(backup: Backup, family: Family, now: Mapping[Code, ReadAttempt]) -> tuple[str, ...]:
+def signs_of_another_drive(
+    backup: Backup, family: Family, now: Mapping[Code, ReadAttempt]
+) -> tuple[str, ...]:
     """Say what shows that this may be another drive than the backup's."""
     said = []
     for code in must_be_same(family):
@@ -220,7 +222,7 @@ def strangers(backup: Backup, family: Family, now: Mapping[Code, ReadAttempt]) -
     return tuple(said)
 
 
-def outside(family: Family, steps: list[RestoreStep]) -> tuple[str, ...]:
+def values_not_in_manual(family: Family, steps: list[RestoreStep]) -> tuple[str, ...]:
     """Say which values the manual does not know; the drive has the last word on them."""
     said = []
     for one in steps:

@@ -195,7 +195,10 @@ class Work:
         """
         wanted = self._plan.wanted
         taken = await take(
-            self._access, list(wanted), patience_s=self._patience_s, listener=Quiet(self._listener)
+            self._access,
+            list(wanted),
+            patience_s=self._patience_s,
+            listener=WithoutProgress(self._listener),
         )
         if taken.unsettled:
             raise StopRestoreError(f"not compared in the end: {taken.unsettled[0].text}")
@@ -291,8 +294,8 @@ class Work:
             raise StopRestoreError(why)
 
 
-class Quiet:
-    """Passes on what is said, and not how far a reading came."""
+class WithoutProgress:
+    """Passes on messages, and not the progress of a reading."""
 
     def __init__(self, inner: Listener) -> None:
         self._inner = inner

@@ -119,7 +119,7 @@ def check_target(path: Path) -> None:
         load_backup(path)
     except (ConfigError, CommandError) as exc:
         remedy = "name another file, or remove it"
-        raise CommandError(Exit.USAGE, f"{path} is there and is no backup", remedy) from exc
+        raise CommandError(Exit.USAGE, f"{path} exists and is not a backup", remedy) from exc
 
 
 class Notes:
@@ -324,8 +324,8 @@ async def read_drive(
     Raises:
         CommandError: There is no such drive, or no daemon.
     """
-    whose = await drive.whose()
-    kind = family_of_any_protocol(whose.family)
+    found = await drive.ask_which()
+    kind = family_of_any_protocol(found.family)
     codes = wanted_codes(kind, also)
     taken = await take(drive, codes, patience_s=patience_s, listener=listener, pass_over=pass_over)
     entries = {
@@ -334,8 +334,8 @@ async def read_drive(
         if answer.value is not None or kind.info(code) is not None
     }
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    head = BackupHead(whose.drive, whose.line, whose.address, whose.family, now, __version__)
-    return Backup(head, kind, entries, name=whose.drive), taken.unsettled
+    head = BackupHead(found.drive, found.line, found.address, found.family, now, __version__)
+    return Backup(head, kind, entries, name=found.drive), taken.unsettled
 
 
 def incomplete(drive: str, left: Sequence[ReadAttempt], output: Path | None) -> CommandError:
@@ -347,7 +347,7 @@ def incomplete(drive: str, left: Sequence[ReadAttempt], output: Path | None) -> 
         Exit.FAILED,
         f"{codes} of {drive} could not be read, the first {first.code}: {first.text}; nothing "
         f"was written{kept}",
-        "again when the line is well, or with --partial for what there is",
+        "repeat it when the line works, or add --partial to write what was read",
         first.kind,
         drive,
         str(first.code),

@@ -1,4 +1,4 @@
-"""`lecombus bridge`: other doors to a line than HTTP, each a process of its own.
+"""`lecombus bridge`: ways to a line beside HTTP, each in a separate process.
 
 Each bridge is imported when it is called; its libraries are extras of the package.
 """

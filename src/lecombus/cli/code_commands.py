@@ -71,7 +71,7 @@ def read_command(
     "quality", "reason", "time", "age_s", "text"}. A value of quality bad makes the exit status 1.
     """
     if port is not None and stored:
-        problem = "--stored is what a daemon knows, and --port asks none"
+        problem = "--stored shows what a daemon knows; with --port no daemon is asked"
         raise CommandError(Exit.USAGE, problem, "leave one of them out")
     check_port_options(
         ctx, port, daemon, only_with=("address", "family", "baud"),

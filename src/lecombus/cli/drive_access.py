@@ -24,7 +24,7 @@ from lecombus.client.line import Line
 from lecombus.errors import CodeValueError
 from lecombus.parameters import Code, Json, Value
 
-__all__ = ["HttpDrive", "RestorePermission", "Whose"]
+__all__ = ["DriveOnLine", "HttpDrive", "RestorePermission"]
 
 AT_ONCE: Final = 4
 """Enough that one is always waiting while another is on the line, and no crowd for others."""
@@ -39,7 +39,7 @@ OFFLINE: Final = "offline"
 
 
 @dataclass(frozen=True, slots=True)
-class Whose:
+class DriveOnLine:
     """Which drive this is.
 
     Args:
@@ -102,7 +102,7 @@ class HttpDrive:
 
     # ---- who it is --------------------------------------------------------------------------
 
-    async def whose(self) -> Whose:
+    async def ask_which(self) -> DriveOnLine:
         """Ask which drive this is.
 
         Raises:
@@ -110,7 +110,9 @@ class HttpDrive:
         """
         line = await self._ask("/v1/line")
         drive = await self._ask(self._path)
-        return Whose(self._name, str(line["line"]), int(drive["address"]), str(drive["family"]))
+        return DriveOnLine(
+            self._name, str(line["line"]), int(drive["address"]), str(drive["family"])
+        )
 
     async def restore_rights(self) -> RestorePermission:
         """Ask whether it may be restored.
@@ -160,9 +162,9 @@ class HttpDrive:
         return await self._act("PUT", f"{self._path}/codes/{code}", document | self._ended_by())
 
     async def inhibit(self) -> WriteAttempt:
-        """Inhibit it: a stop, which waits for nothing, and ends none of what is written later.
+        """Inhibit it by a stop, which goes first and does not end what is written later.
 
-        A stop by another one since the mark was taken is no less one because ours came too.
+        If another client stopped the drive since the mark was taken, this counts as stopped too.
         """
         said = await self._act("POST", "/v1/stop", {"action": "inhibit", "target": self._name})
         try:
@@ -171,7 +173,9 @@ class HttpDrive:
             kind, text = why(exc)
             return WriteAttempt(False, kind, text)
         if stops_between(before, self.stops) > 1:
-            return WriteAttempt(False, SUPERSEDED, f"{self._name} was stopped by another one too")
+            return WriteAttempt(
+                False, SUPERSEDED, f"{self._name} was also stopped by another client"
+            )
         return said
 
     async def enable(self) -> WriteAttempt:

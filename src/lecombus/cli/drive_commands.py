@@ -55,7 +55,7 @@ def accept_command(
         if daemon.as_json:
             click.echo(ask(daemon, f"{path}/identity").text)
         else:
-            click.echo(table_text(known.get("problem")) or f"{drive} is the drive it was")
+            click.echo(table_text(known.get("problem")) or f"{drive} is the same drive as before")
         return Exit.FAILED if known.get("problem") else Exit.DONE
     _confirm_identity(drive, differing, dict(seen), may_ask=on_terminal() and not daemon.as_json)
     answer = act(daemon, "POST", f"{path}/accept", {"identity": found})
@@ -96,9 +96,9 @@ def _confirm_identity(
         return
     if not may_ask:
         right = " ".join(f"--seen {code}={text}" for code, text in differing.items())
-        what = f"{drive} is not accepted without being looked at"
-        raise CommandError(Exit.USAGE, what, f"if this is right: {right}")
-    if not click.confirm(f"Is this the drive that {drive} shall be from now on?"):
+        what = f"another drive as {drive} is accepted only after its identity was compared"
+        raise CommandError(Exit.USAGE, what, f"if it is the right drive, add {right}")
+    if not click.confirm(f"Accept this drive as {drive}?"):
         raise CommandError(Exit.FAILED, "nothing was accepted")
 
 
@@ -133,7 +133,7 @@ def _confirm_address(known: Document, address: int, *, may_ask: bool) -> None:
     drive, old = cells_of(known, "drive", "address")
     if not may_ask:
         raise CommandError(
-            Exit.USAGE, f"the address of {drive} is not changed unasked", "add --yes"
+            Exit.USAGE, f"the address of {drive} is changed only after a confirmation", "add --yes"
         )
     labels = ", ".join(f"{code} {text}" for code, text in dict(known.get("identity") or {}).items())
     click.echo(f"{drive} at address {old} ({known.get('family')}), which is {labels or 'unknown'}")

@@ -14,7 +14,7 @@ from lecombus.cli.arguments import DURATION, DaemonOptions, Whole, daemon_option
 from lecombus.cli.daemon_access import command_errors, connected
 from lecombus.cli.document_rows import Document, cells_of, code_of, quality_of, value_of
 from lecombus.cli.exits import Exit
-from lecombus.cli.screen import harmless, on_terminal, table_text
+from lecombus.cli.screen import on_terminal, printable, table_text
 from lecombus.client.connection import text_of
 from lecombus.event_stream import GAP, KINDS
 
@@ -94,8 +94,8 @@ def as_json(event: Event) -> str:
 def as_row(event: Event) -> str:
     """Return an event as one line for a person, or as cells in a pipe."""
     data = event.data
-    time, text = table_text(data.get("time")), harmless(in_words(event))
-    drive = harmless(event.drive)
+    time, text = table_text(data.get("time")), printable(in_words(event))
+    drive = printable(event.drive)
     if not on_terminal():
         return "\t".join((time, event.kind, drive, text.replace("\t", " ")))
     return f"{local(time):8}  {event.kind:6}  {drive:12}  {text}"

@@ -120,7 +120,7 @@ def broker_of(given: Mapping[str, Any]) -> BrokerOptions:
         entry = MqttEntry(**address_of(url), **more)
     else:
         remedy = "give --broker mqtt://HOST, or -c ROSTER, or set LECOMBUS_BROKER"
-        raise CommandError(Exit.USAGE, "which broker?", remedy)
+        raise CommandError(Exit.USAGE, "no broker is given", remedy)
     prefixes = tuple(dict.fromkeys(given["topics"])) or (entry.topics,)
     for one in prefixes:
         if not one.strip("/") or set(one) & set("+#\0") or one != one.strip("/"):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, Self
 
 import click
 
-from lecombus.cli.screen import Styled, age, counted, harmless, on_terminal, show_rows
+from lecombus.cli.screen import Styled, age, counted, on_terminal, printable, show_rows
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -51,14 +51,14 @@ def rows_of(view: LineView) -> list[tuple[str, ...]]:
         kinds.setdefault(one.kind, []).append(one)
     rows: list[tuple[str, ...]] = []
     for kind, needs in kinds.items():
-        names = [harmless(one.drive) for one in needs if one.drive]
+        names = [printable(one.drive) for one in needs if one.drive]
         more = len(names) - DRIVES_NAMED
         drive = ", ".join(names[:DRIVES_NAMED]) + (f" and {more} more" if more > 0 else "")
         for_s = max((one.for_s for one in needs if one.for_s is not None), default=None)
         style = "red" if kind in RED else "yellow"
         rows.append(
-            (name, Styled(harmless(kind.replace("-", " ")), style), drive,
-             harmless(" ".join(needs[0].text.split())), age(for_s), drives, news)
+            (name, Styled(printable(kind.replace("-", " ")), style), drive,
+             printable(" ".join(needs[0].text.split())), age(for_s), drives, news)
         )  # fmt: skip
     if view.more:
         rows.append((name, Styled("and more", "yellow"), "", counted(view.more, "further need"), "",
@@ -69,7 +69,7 @@ def rows_of(view: LineView) -> list[tuple[str, ...]]:
 def drives_text(drives: Mapping[str, int]) -> str:
     """Return `4 online, 1 offline`."""
     order = {**dict.fromkeys(STATES), **drives}
-    return ", ".join(f"{count} {harmless(word)}" for word, count in order.items() if count)
+    return ", ".join(f"{count} {printable(word)}" for word, count in order.items() if count)
 
 
 def headline(where: str, lines: FleetLines, views: Sequence[LineView]) -> tuple[str, str]:
@@ -183,6 +183,6 @@ def table(rows: Sequence[tuple[str, ...]], width: int) -> RenderableType:
             min_width=4 if at > 1 else 8,
         )  # fmt: skip
     for row in rows:
-        cells = [Text(harmless(one), style=getattr(one, "style", "")) for one in row[:count]]
+        cells = [Text(printable(one), style=getattr(one, "style", "")) for one in row[:count]]
         drawn.add_row(*cells)
     return drawn

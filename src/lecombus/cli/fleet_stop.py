@@ -1,7 +1,7 @@
 """`lecombus fleet stop`: the stop of whole lines, with the outcome of every drive.
 
-Nothing is half said: a line whose drives are not all known to have taken the stop counts as not
-stopped, and that stands first, on standard error.
+A line counts as stopped only if all of its drives are known to have taken the stop. If a line of
+drives is not stopped, the first line on standard error says so.
 """
 
 from __future__ import annotations

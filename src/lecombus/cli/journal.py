@@ -22,7 +22,7 @@ from lecombus.cli.arguments import DaemonOptions, Whole, Word, daemon_options
 from lecombus.cli.daemon_access import ask, show
 from lecombus.cli.document_rows import Document
 from lecombus.cli.exits import CommandError, Exit
-from lecombus.cli.screen import harmless, on_terminal, show_rows, table_text
+from lecombus.cli.screen import on_terminal, printable, show_rows, table_text
 from lecombus.durations import DurationError, parse_duration
 
 __all__ = ["journal_command"]
@@ -85,8 +85,8 @@ def journal_command(
     """
     if context.invoked_subcommand is not None:
         if since is not None or last is not None or drive or as_csv or follow:
-            problem = f"{context.invoked_subcommand} takes no rows of its own"
-            raise CommandError(Exit.USAGE, problem, "leave out what stands before it")
+            problem = f"{context.invoked_subcommand} has no options for rows"
+            raise CommandError(Exit.USAGE, problem, "leave out the options before it")
         context.obj = daemon
         return Exit.DONE
     if since is not None and last is not None:
@@ -217,7 +217,7 @@ def _cells(row: Document) -> Sequence[str]:
     local = datetime.fromisoformat(str(row["time"])).astimezone()
     when = local.replace(tzinfo=None).isoformat(" ", "milliseconds")
     cells = (when, row["what"], row["drive"], row["outcome"], _details(row["fields"]))
-    return [harmless(table_text(cell)) for cell in cells]
+    return [printable(table_text(cell)) for cell in cells]
 
 
 def _details(fields: Mapping[str, Any]) -> str:

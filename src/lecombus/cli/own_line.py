@@ -174,7 +174,7 @@ class OwnPort:
         line: Port, parity and direction; its baud rate is not used.
         retries: How often a failed read is repeated.
         options: How the line is worked.
-        drives: Drives that the schedule shall know, by name.
+        drives: Drives that the schedule knows, by name.
         stack: Closes the line that is open.
     """
 

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import json
-import signal
 import socket
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-import anyio
 import click
 
 from lecombus.capacity.watchdog_feasibility import find_infeasible
 from lecombus.cli.arguments import json_option, roster_option
 from lecombus.cli.exits import CommandError, Exit, Problem, status_of_cause
-from lecombus.cli.own_line import OwnPort, own_port
+from lecombus.cli.rebaud_access import Procedure, carry_out
 from lecombus.cli.screen import (
     can_ask,
     forget_terminal,
@@ -25,22 +23,15 @@ from lecombus.cli.screen import (
     progress,
     show_rows,
 )
-from lecombus.cli.signals import at_signals, ended_as_by_ctrl_c, heeded
+from lecombus.cli.signals import at_signals, ended_as_by_ctrl_c
 from lecombus.config import DriveEntry, Roster, load_roster
 from lecombus.drives import family, saving_rule
-from lecombus.drives.procedures import ReadAttempt, WriteAttempt, identity_codes
-from lecombus.errors import (
-    CutReplyError,
-    ExchangeError,
-    LecombusError,
-    NakError,
-    UnknownCodeError,
-)
+from lecombus.drives.procedures import identity_codes
+from lecombus.errors import LecombusError
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.fieldbus.lecom.protocol.controls import BAUDS
 from lecombus.fieldbus.lecom.rebaud import (
     DrivePlace,
-    LineAccess,
     Rebaud,
     RebaudDrive,
     RebaudEnd,
@@ -49,16 +40,11 @@ from lecombus.fieldbus.lecom.rebaud import (
     situation,
     what_to_do,
 )
-from lecombus.fieldbus.requests import Station
 from lecombus.line.event_loop import run
-from lecombus.line_runtime import options_of
-from lecombus.parameters import AddressForm, Code, Value
+from lecombus.parameters import AddressForm, Code
 from lecombus.saved_state import State
-from lecombus.schedule import Priority
 
-__all__ = ["carry_out", "rebaud_command"]
-
-Procedure = Callable[[LineAccess], Awaitable[None]]
+__all__ = ["rebaud_command"]
 
 RATES = [str(baud) for baud in BAUDS]
 
@@ -156,9 +142,9 @@ def _check_words(roster: Roster, old: int, new: int, *, generic: bool) -> None:
         CommandError: It cannot be done like this.
     """
     if new == old:
-        named = f"from {old} to {new} baud" if old != roster.line.baud else f"{new} baud already"
-        problem = f"{roster.file} has {named}"
-        remedy = "name another rate, or by --from the one at which some drives are"
+        has = f"{roster.file} has" if old == roster.line.baud else "--from names"
+        problem = f"{has} {new} baud already"
+        remedy = "name another rate, or give with --from the present rate of the drives"
         raise CommandError(Exit.USAGE, problem, remedy)
     port = roster.line.port
     if not port.startswith("/"):
@@ -230,6 +216,11 @@ def _subject(entry: DriveEntry, state: State) -> Subject:
         {**recorded, **entry.identity},
         entry.accept_software,
     )
+
+
+def form_of(forms: tuple[AddressForm, ...]) -> AddressForm:
+    """Choose the addressing form that no code bank redirects, where the drive knows it."""
+    return Form.EXTENDED if Form.EXTENDED in forms else forms[0]
 
 
 def _recorded(roster: Roster) -> State:
@@ -317,7 +308,7 @@ def _carry(work: Rebaud, procedure: Procedure, roster: Roster, shown: Shown) -> 
         try:
             run(carry_out, procedure, roster, subjects, interrupt, watch)
         finally:
-            forget_terminal()  # else the end of the bar would fail, and hide where the drives are
+            forget_terminal()  # else the end of the bar would fail, and the report would be missing
 
 
 def _try(
@@ -345,7 +336,7 @@ def _wants_back(work: Rebaud, options: RebaudOptions) -> bool:
         for drive in work.drives:
             if drive.why:
                 click.echo(f"{drive.name}: {drive.why}")
-        return click.confirm(f"Not every drive came over. Bring all back to {work.old} baud?")
+        return click.confirm(f"Not every drive was changed. Set all back to {work.old} baud?")
     return False
 
 
@@ -429,131 +420,3 @@ def _as_json(drive: RebaudDrive, work: Rebaud) -> dict[str, object]:
         "motion": drive.motion or None,
         "watchdog": drive.note or None,
     }
-
-
-# ---- on the line -----------------------------------------------------------------------------
-
-
-def form_of(forms: tuple[AddressForm, ...]) -> AddressForm:
-    """Choose the addressing form that no code bank redirects, where the drive knows it."""
-    return Form.EXTENDED if Form.EXTENDED in forms else forms[0]
-
-
-async def carry_out(
-    procedure: Callable[[LineAccess], Awaitable[None]],
-    roster: Roster,
-    subjects: tuple[Subject, ...],
-    interrupt: Callable[[], None],
-    watch: Callable[[], None],
-) -> None:
-    """Carry out a procedure to its end.
-
-    Args:
-        procedure: What is done on the line.
-        roster: The line and its drives.
-        subjects: The drives.
-        interrupt: Called at a signal; the procedure then ends by itself.
-        watch: Called before every telegram and at the end.
-
-    Raises:
-        LecombusError: The port cannot be opened, or was lost.
-    """
-    stations = {one.name: _station(one, roster) for one in subjects}
-    # A line may be silent here: its drives may be at the other rate.
-    options = replace(options_of(roster), stall_s=0.0)
-    failure: LecombusError | None = None
-    async with anyio.create_task_group() as tasks:
-        await tasks.start(_listen, interrupt)
-        try:
-            async with own_port(
-                roster.line, retries=roster.line.retries, options=options, drives=stations
-            ) as port:
-                await procedure(_Line(port, stations, watch))
-                watch()
-        except LecombusError as exc:  # outside the task group, or it would come out wrapped
-            failure = exc
-        tasks.cancel_scope.cancel()
-    if failure is not None:
-        raise failure
-
-
-async def _listen(
-    interrupt: Callable[[], None],
-    *,
-    task_status: anyio.abc.TaskStatus[None] = anyio.TASK_STATUS_IGNORED,
-) -> None:
-    with anyio.open_signal_receiver(signal.SIGINT, *heeded()) as signals:
-        task_status.started()
-        async for _ in signals:
-            forget_terminal()
-            interrupt()
-
-
-def _station(subject: Subject, roster: Roster) -> Station:
-    entry = roster.drive(subject.name)
-    assert entry is not None, "subjects are made from the roster"
-    kind = family(entry.family)
-    return Station(
-        entry.name,
-        entry.address,
-        kind,
-        (subject.form,),
-        hold_s=kind.hold_after_write_s,
-        answer_time_s=entry.answer_time_s,
-    )
-
-
-class _Line:
-    """`LineAccess` on a port opened by the command."""
-
-    def __init__(
-        self, port: OwnPort, stations: dict[str, Station], watch: Callable[[], None]
-    ) -> None:
-        self.port = port
-        self.stations = stations
-        self.watch = watch
-
-    def at(self, baud: int, drive: str, *, retries: int) -> _Drive:
-        """Return a drive at a baud rate."""
-        return _Drive(self, baud, self.stations[drive], retries)
-
-    async def wait(self, baud: int, for_s: float) -> None:
-        """Send nothing for some seconds."""
-        self.watch()
-        await self.port.at(baud)
-        await anyio.sleep(for_s)
-
-
-@dataclass(frozen=True, slots=True)
-class _Drive:
-    """`DriveAccess` on a port opened by the command."""
-
-    line: _Line
-    baud: int
-    station: Station
-    retries: int
-
-    async def read(self, code: Code) -> ReadAttempt:
-        """Read a code."""
-        self.line.watch()
-        requests = (await self.line.port.at(self.baud)).requests
-        try:
-            value = await requests.read(
-                self.station, code, Priority.INTERACTIVE, retries=self.retries
-            )
-        except CutReplyError:
-            raise
-        except UnknownCodeError as exc:
-            return ReadAttempt(code, None, "no-such-code", str(exc))
-        except NakError as exc:
-            return ReadAttempt(code, None, "nak", str(exc))
-        except ExchangeError as exc:
-            return ReadAttempt(code, None, "no-answer", str(exc))
-        return ReadAttempt(code, value)
-
-    async def write(self, code: Code, value: Value, *, verify: bool) -> WriteAttempt:
-        """Write a code once."""
-        self.line.watch()
-        requests = (await self.line.port.at(self.baud)).requests
-        outcome, reason = await requests.write(self.station, code, value, verify=verify)
-        return WriteAttempt(outcome.is_good, outcome.value, reason)

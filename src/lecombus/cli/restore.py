@@ -30,7 +30,7 @@ from lecombus.backups.restore_plan import codes_to_read
 from lecombus.cli.arguments import DaemonOptions, daemon_options, wait_option
 from lecombus.cli.backup import Notes, digest_of, incomplete, read_text
 from lecombus.cli.daemon_access import connected
-from lecombus.cli.drive_access import HttpDrive, RestorePermission, Whose
+from lecombus.cli.drive_access import DriveOnLine, HttpDrive, RestorePermission
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.screen import counted, make_sure, on_terminal, progress, show_rows
 from lecombus.cli.signals import ended_as_by_ctrl_c
@@ -70,14 +70,14 @@ class Seen:
     """What a plan was made from.
 
     Args:
-        whose: The drive.
+        drive: The drive.
         rights: Whether it may be restored.
         plan: The plan.
         enabled: It is not inhibited now, though a quick stop may hold it; None where it does not
             say.
     """
 
-    whose: Whose
+    drive: DriveOnLine
     rights: RestorePermission
     plan: RestorePlan
     enabled: bool | None
@@ -137,7 +137,7 @@ def restore_command(
             show_plan(seen.plan, drive, enabled=seen.enabled, enable=enable)
         check(options, seen)
         return Exit.DONE
-    with Notes.opened(seen.whose.line, drive) as notes:
+    with Notes.opened(seen.drive.line, drive) as notes:
         return carry_out(options, seen, notes)
 
 
@@ -159,8 +159,8 @@ async def look(options: RestoreOptions) -> Seen:
     """
     async with connected(options.daemon) as line:
         drive = HttpDrive(line, options.drive)
-        whose, rights = await drive.whose(), await drive.restore_rights()
-        kind = family_of_any_protocol(whose.family)
+        found, rights = await drive.ask_which(), await drive.restore_rights()
+        kind = family_of_any_protocol(found.family)
         codes = codes_to_read(options.backup, rights.owned) if kind is options.backup.family else ()
         with progress(f"reading {options.drive}", quiet=options.daemon.as_json) as bar:
             taken = await take(drive, codes, patience_s=options.patience_s, listener=bar)
@@ -169,7 +169,7 @@ async def look(options: RestoreOptions) -> Seen:
         plan = make_plan(options.backup, kind, taken.answers, owned=rights.owned,
                          other_drive=options.other_drive)  # fmt: skip
         inhibited = await is_inhibited(drive, kind)
-        return Seen(whose, rights, plan, None if inhibited is None else not inhibited)
+        return Seen(found, rights, plan, None if inhibited is None else not inhibited)
 
 
 def check(options: RestoreOptions, seen: Seen) -> None:
@@ -340,7 +340,7 @@ def show_plan(plan: RestorePlan, drive: str, *, enabled: bool | None, enable: bo
         drive: The drive's name.
         enabled: It is not inhibited now, though a quick stop may hold it; None where it does not
             say.
-        enable: Its inhibit shall be lifted at the end.
+        enable: Its inhibit is lifted at the end.
     """
     if on_terminal():
         click.echo(headline(plan, drive))

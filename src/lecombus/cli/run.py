@@ -8,7 +8,7 @@ time, so it is left out and the line begins with the level in the form the journ
 
 Code that logs never waits: a thread writes (`BackgroundHandler`), because a standard error that no
 process reads would otherwise stop the line, and every motor whose watchdog it feeds. What does
-not fit is dropped and counted; libraries which anybody could make talk without end are bounded.
+not fit is dropped and counted; libraries that a client can make log without end are bounded.
 """
 
 from __future__ import annotations

@@ -5,13 +5,10 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import anyio
 import click
 
 from lecombus.cli.arguments import (
@@ -22,22 +19,19 @@ from lecombus.cli.arguments import (
 )
 from lecombus.cli.daemon_access import work
 from lecombus.cli.exits import CommandError, Exit, Problem
-from lecombus.cli.own_line import OwnPort, own_port
+from lecombus.cli.scan_access import ThroughDaemon, scan_own_port
 from lecombus.cli.scan_progress import ScanProgress, look_s, scan_bar
 from lecombus.cli.screen import on_terminal, show_rows
-from lecombus.cli.second_answers import SECOND_WITHIN_S, SecondAnswers
+from lecombus.cli.second_answers import SecondAnswers
 from lecombus.cli.whole_file import write_whole
-from lecombus.client import Line, ProblemError, finding
+from lecombus.client import Line, finding
 from lecombus.config import LineEntry, RosterError
 from lecombus.config.building import STATE_DIR
 from lecombus.fieldbus.lecom.protocol.addressing import is_drive_address
 from lecombus.fieldbus.lecom.protocol.controls import BAUDS
 from lecombus.fieldbus.lecom.scanning import (
     FoundDrive,
-    Heard,
-    HeardKind,
     ProposedLine,
-    Question,
     Scan,
     ScanPlan,
     check_place,
@@ -47,23 +41,12 @@ from lecombus.fieldbus.lecom.scanning import (
 )
 from lecombus.line.devices import END_IT, others_at, shared
 from lecombus.line.event_loop import run
-from lecombus.operations.address_reads import read_address
-from lecombus.parameters import Value
-from lecombus.schedule import Priority
 from lecombus.supervision.line_remarks import SECOND_ANSWERS_REMARK
 
 __all__ = ["scan_command"]
 
-Watch = Callable[[], None]
-
-REOPENED_WITHIN_S = 10.0
-"""A daemon opens its port again where no drive answers for a time; a scan waits so long for it."""
-
-LOOK_EVERY_S = 0.2
-"""How often it looks meanwhile whether the port is open."""
-
 ALL_BAUDS = (9600, 19200, 4800, 2400, 1200)
-"""The rate ex works first, then the most usual one."""
+"""The factory setting first, then the most usual one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +189,7 @@ def _on_own_port(options: ScanOptions, line: LineEntry) -> int:
     others = others_at(line.port)
     if others and scan.found:
         click.echo(f"{shared(line.port, others)}: {END_IT}, and scan again", err=True)
-    elif twice := _remark_twins(scan, second):
+    elif twice := _remark_shared_addresses(scan, second):
         click.echo(twice, err=True)
     if not scan.found:
         if others:
@@ -255,7 +238,7 @@ async def _scan_of(options: ScanOptions, line: Line) -> tuple[Scan, LineEntry, d
     with scan_bar() as bar:
         watch = ScanProgress(scan, look_s(here, here.baud), bar).watch
         try:
-            await scan.run(_ByDaemon(line, watch))
+            await scan.run(ThroughDaemon(line, watch))
         finally:
             watch()
     return scan, here, (await line.ask("/v1/line")).data.get("remarks", {})
@@ -265,7 +248,7 @@ async def _line_of(daemon: Line) -> LineEntry:
     """Ask the daemon what line it has."""
     line = (await daemon.ask("/v1/line")).data
     if "port" not in line or "baud" not in line:
-        problem = f"the daemon at {daemon.where} does not know scans"
+        problem = f"the daemon at {daemon.where} cannot scan"
         raise CommandError(Exit.UNREACHABLE, problem, "update it, or scan with --port")
     return LineEntry(name="line", port=str(line["port"]), baud=int(line["baud"]))
 
@@ -370,119 +353,13 @@ def _as_json(one: FoundDrive) -> dict[str, Any]:
     }
 
 
-def _remark_twins(scan: Scan, second: SecondAnswers) -> str:
+def _remark_shared_addresses(scan: Scan, second: SecondAnswers) -> str:
     """Remark drives that share an address; returns what is said where that is not clear."""
-    texts = second.twins()
+    texts = second.shared_addresses()
     scan.found[:] = [
         replace(one, remarks=(*one.remarks, text))
         if (text := texts.get((one.address, one.baud)))
         else one
         for one in scan.found
     ]
-    return "" if texts else second.doubt()
-
-
-async def scan_own_port(scan: Scan, line: LineEntry, watch: Watch, second: SecondAnswers) -> int:
-    """Scan on a port opened by the command, reopened for every baud rate.
-
-    Args:
-        scan: The search.
-        line: Port, parity and direction; its baud rate is not used.
-        watch: Called before every question and at the end.
-        second: Gets the second answers.
-
-    Returns:
-        How many bytes were received, echoes included.
-
-    Raises:
-        LineError: The port cannot be used, or another master speaks on the line.
-    """
-    async with own_port(line, retries=0) as port:
-        try:
-            await scan.run(_OnOwnPort(port, watch, second))
-            if second.most:  # that of the last answer may be under way
-                await anyio.sleep(SECOND_WITHIN_S)
-                second.look(await port.at(scan.baud), scan.baud)
-        finally:
-            watch()
-        return port.bytes_heard
-
-
-@dataclass(frozen=True, slots=True)
-class _OnOwnPort:
-    """`AddressAccess` on a port opened by the command."""
-
-    port: OwnPort
-    watch: Watch
-    second: SecondAnswers
-
-    async def ask(self, ask: Question) -> Heard:
-        """Read a code at an address, once."""
-        self.watch()
-        own = await self.port.at(ask.baud)
-        heard = await read_address(
-            own.requests,
-            ask.address,
-            ask.code,
-            form=ask.form,
-            family_name=ask.family,
-            patient=ask.patient,
-            priority=Priority.INTERACTIVE,
-            disturbances=lambda: own.disturbances,
-        )
-        self.second.answers[ask.address, ask.baud] += heard.is_answer
-        self.second.look(own, ask.baud)
-        return replace(heard, received=own.take_strays() + heard.received)
-
-    async def listen(self, baud: int, for_s: float) -> Heard:
-        """Send nothing for some seconds; return what was heard."""
-        own = await self.port.at(baud)
-        await anyio.sleep(for_s)
-        return Heard(HeardKind.SILENCE, received=own.take_strays(), disturbances=own.disturbances)
-
-
-@dataclass(frozen=True, slots=True)
-class _ByDaemon:
-    """`AddressAccess` through a running daemon."""
-
-    line: Line
-    watch: Callable[[], None]
-
-    async def ask(self, ask: Question) -> Heard:
-        """Read a code at an address, once."""
-        self.watch()
-        try:
-            answer = await self._answer(ask)
-        except ProblemError as exc:
-            if exc.kind != "line-lost" or not await self._is_open_again():
-                raise
-            answer = await self._answer(ask)
-        raw = answer.get("raw")
-        return Heard(
-            HeardKind(answer["heard"]),
-            None if raw is None else Value.parse(str(raw)),
-            bytes.fromhex(answer.get("received") or ""),
-            int(answer.get("disturbances") or 0),
-        )
-
-    async def _answer(self, ask: Question) -> dict[str, Any]:
-        path = f"/v1/line/addresses/{ask.address}/codes/{ask.code}"
-        said = await self.line.ask(
-            path, addressing=ask.form.value, family=ask.family,
-            patient="true" if ask.patient else "false",
-        )  # fmt: skip
-        answer: dict[str, Any] = said.data
-        return answer
-
-    async def _is_open_again(self) -> bool:
-        """Wait for a port that the daemon opens again; its requests block, so this does too."""
-        until_s = time.monotonic() + REOPENED_WITHIN_S
-        while (await self.line.ask("/v1/line")).data.get("state") != "open":
-            if time.monotonic() > until_s:
-                return False
-            time.sleep(LOOK_EVERY_S)  # noqa: ASYNC251 - its requests block too
-        return True
-
-    async def listen(self, baud: int, for_s: float) -> Heard:
-        """A daemon has listened to its line already."""
-        return Heard(HeardKind.SILENCE)
+    return "" if texts else second.unexplained()

@@ -33,10 +33,10 @@ __all__ = [
     "can_ask",
     "counted",
     "forget_terminal",
-    "harmless",
     "make_sure",
     "mark",
     "on_terminal",
+    "printable",
     "progress",
     "show_rows",
     "show_table",
@@ -104,7 +104,7 @@ def show_rows(headings: Sequence[str], rows: Iterable[Sequence[str]], *, title: 
         _show_table(headings, rows)
         return
     for row in rows:
-        click.echo("\t".join(harmless(" ".join(cell.split())) for cell in row))
+        click.echo("\t".join(printable(" ".join(cell.split())) for cell in row))
 
 
 def show_table(headings: Sequence[str], rows: Iterable[Sequence[str]], *, title: str) -> None:
@@ -130,7 +130,7 @@ def table_text(value: object) -> str:
     return str(value)
 
 
-def harmless(text: str) -> str:
+def printable(text: str) -> str:
     """Return a text whose control characters are shown, not sent to the terminal."""
     if text.isprintable():
         return text
@@ -191,7 +191,7 @@ def _show_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     for heading in headings:
         table.add_column(heading, overflow="fold")
     for row in rows:
-        table.add_row(*(Text(harmless(cell), style=mark(cell)) for cell in row))
+        table.add_row(*(Text(printable(cell), style=mark(cell)) for cell in row))
     Console(file=sys.stdout).print(table)
 
 

@@ -1,8 +1,8 @@
-"""Answers of a scan that nobody asked for: of a second drive at an address, or delivered twice.
+"""Second answers in a scan: from a second drive at an address, or delivered twice.
 
-The line counts them (`exchange_loop.second_answers`) and says behind whose answers they came, where
-that is certain. A drive behind whose answers far more of them come than behind those of the others
-shares its address; otherwise it may be the line.
+The line counts them (`exchange_loop.second_answers`). Where it is certain, it says after whose
+answers they came. If far more of them come after the answers of one drive than of the others, two
+drives have its address. Otherwise the line may be the cause.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class SecondAnswers:
             place = int(name.rpartition(" ")[2]), baud  # `read_address` says `address 12`
             self.behind[place] = max(self.behind.get(place, 0), number)
 
-    def twins(self) -> Mapping[Place, str]:
+    def shared_addresses(self) -> Mapping[Place, str]:
         """Return what is said of each drive that shares its address."""
         known, answers = sum(self.behind.values()), self.answers.total()
         found = {}
@@ -68,7 +68,7 @@ class SecondAnswers:
                 )
         return found
 
-    def doubt(self) -> str:
+    def unexplained(self) -> str:
         """Return what is said where it is not clear what they come from; empty: nothing."""
         if self.most < LEAST:
             return ""

@@ -10,7 +10,7 @@ from typing import Final
 
 from lecombus.cli.screen import forget_terminal
 
-__all__ = ["Handler", "at_signals", "ended_as_by_ctrl_c", "heeded"]
+__all__ = ["Handler", "at_signals", "ended_as_by_ctrl_c", "ending_signals"]
 
 _LIKE_CTRL_C: Final = (signal.SIGTERM, signal.SIGHUP)
 """What ends the work as Ctrl-C does; the second comes when the terminal is gone."""
@@ -18,15 +18,15 @@ _LIKE_CTRL_C: Final = (signal.SIGTERM, signal.SIGHUP)
 Handler = Callable[[int, FrameType | None], None]
 
 
-def heeded() -> list[signal.Signals]:
-    """Return the signals that end the work: not those that `nohup` keeps away."""
+def ending_signals() -> list[signal.Signals]:
+    """Return the signals that end the work, without those that are ignored, as under `nohup`."""
     return [one for one in _LIKE_CTRL_C if signal.getsignal(one) is not signal.SIG_IGN]
 
 
 @contextmanager
 def at_signals(handler: Handler) -> Iterator[None]:
     """Handle what ends a program, but for Ctrl-C, while the block runs."""
-    before = {number: signal.signal(number, handler) for number in heeded()}
+    before = {number: signal.signal(number, handler) for number in ending_signals()}
     try:
         yield
     finally:

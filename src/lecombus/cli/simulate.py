@@ -213,7 +213,7 @@ def _tell_simulator(path: Path | None, lines: tuple[str, ...], *, as_json: bool)
     """
     if path is None:
         remedy = "give the --pty or the --control that the simulator was started with"
-        raise CommandError(Exit.USAGE, "--tell does not know whom to tell", remedy)
+        raise CommandError(Exit.USAGE, "--tell needs the simulator that gets the command", remedy)
     sent: list[dict[str, str]] = []
     try:
         for line in lines:

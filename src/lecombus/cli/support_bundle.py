@@ -104,11 +104,11 @@ class Parts:
         self.add(name, json.dumps(masked, indent=1, ensure_ascii=False, default=str) + "\n")
 
     def collect(self, name: str, make: Callable[[], str]) -> None:
-        """Add a text that may not be had; then the file says why."""
+        """Add a text that may not be available; then the file says why."""
         try:
             self.add(name, make())
         except (OSError, subprocess.SubprocessError, ValueError) as exc:
-            self.add(name, f"not to be had: {exc}\n")
+            self.add(name, f"not available: {exc}\n")
 
 
 @click.command("support-bundle")
@@ -213,11 +213,11 @@ def add_daemon(parts: Parts, socket: str | None) -> None:
             if exc.status == Exit.UNREACHABLE or exc.status == Exit.FORBIDDEN:
                 parts.add("daemon/away.txt", f"{exc}\n")
                 return
-            parts.add(name, f"not to be had: {exc}\n")
+            parts.add(name, f"not available: {exc}\n")
     try:
         parts.add("daemon/metrics.txt", work(daemon, metrics_page))
     except (CommandError, httpx2.HTTPError) as exc:
-        parts.add("daemon/metrics.txt", f"not to be had: {exc}\n")
+        parts.add("daemon/metrics.txt", f"not available: {exc}\n")
 
 
 async def metrics_page(line: Line) -> str:
@@ -244,7 +244,7 @@ def add_system(parts: Parts, roster: Roster | None, unit: str) -> None:
         try:
             parts.add_json("state.json", json.loads(state.read_text(encoding="utf-8")))
         except (OSError, ValueError) as exc:
-            parts.add("state.json", f"not to be had: {exc}\n")
+            parts.add("state.json", f"not available: {exc}\n")
 
 
 SHOWN: Final = ("Id,LoadState,ActiveState,SubState,Result,NRestarts,ExecMainStatus,MemoryCurrent,"

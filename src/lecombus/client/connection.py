@@ -28,7 +28,7 @@ import httpx2
 from lecombus.client.credentials import headers_for, trusted
 from lecombus.client.documents import Answer, Document, kind_of
 from lecombus.client.errors import ProblemError, UnreachableError
-from lecombus.client.finding import knock, no_daemon_at
+from lecombus.client.finding import no_daemon_at, try_socket
 
 __all__ = [
     "BY",
@@ -294,7 +294,7 @@ async def open_connection(
         UnreachableError: Nothing listens at the socket.
     """
     if path:
-        knock(path)
+        try_socket(path)
     settings: dict[str, Any] = {
         "uds": path or None,
         "verify": trusted(url, ca, certificate),

@@ -1,6 +1,6 @@
 """Which daemon is meant: a socket or a URL, given, from the environment, or the only one there is.
 
-Nothing is sent here. `knock` connects to a socket once, for the system's word on why it cannot.
+Nothing is sent here. `try_socket` connects once, to learn why the system refuses a connection.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import httpx2
 
 from lecombus.client.errors import AmbiguousDaemonError, NotPermittedError, UnreachableError
 
-__all__ = ["RUNTIME_DIR", "find_daemon", "knock", "no_daemon_at"]
+__all__ = ["RUNTIME_DIR", "find_daemon", "no_daemon_at", "try_socket"]
 
 RUNTIME_DIR = Path("/run/lecombus")
 """Where the daemons of a machine have their sockets, one a line."""
@@ -42,8 +42,8 @@ def find_daemon(socket: str | None, url: str | None) -> tuple[str, str]:
     return str(_only_socket()), ""
 
 
-def knock(path: str) -> None:
-    """Connect to a Unix socket once for the system's own word on why that fails; never waits.
+def try_socket(path: str) -> None:
+    """Connect to a Unix socket once to learn from the system why that fails; never waits.
 
     httpx2 hides it behind its own errors, and its transport leaves the failed socket open.
 
@@ -51,10 +51,10 @@ def knock(path: str) -> None:
         NotPermittedError: This user may not open it.
         UnreachableError: Nothing listens there.
     """
-    with system_socket.socket(system_socket.AF_UNIX, system_socket.SOCK_STREAM) as knocking:
-        knocking.setblocking(False)
+    with system_socket.socket(system_socket.AF_UNIX, system_socket.SOCK_STREAM) as trial:
+        trial.setblocking(False)
         try:
-            knocking.connect(path)
+            trial.connect(path)
         except BlockingIOError:
             return  # something listens, and has much to do
         except PermissionError as exc:

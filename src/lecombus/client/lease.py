@@ -2,8 +2,8 @@
 
 Strategy: a task of the same event loop renews the lease with a counter; a program that crashed, and
 one whose event loop stalls, renews nothing, and lecombus carries out `on_lapse`. The end is
-reckoned from when the last renewal that succeeded was sent, so that the program never believes in
-its lease for longer than the daemon does. Then the body is cancelled.
+calculated from the time at which the last successful renewal was sent, so that the program never
+counts the lease as held for longer than the daemon does. Then the body is cancelled.
 
 A body that ends with an error does not give the lease up: it lapses, as after a crash, because
 giving up leaves drives alone whose roster requires no lease.

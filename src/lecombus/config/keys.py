@@ -68,7 +68,7 @@ _LINE: Final = Table("line", (
     Key("baud", _BY_PROTOCOL, "Bits a second, the same in every drive (C0125, P411).",
         default=9600),
     Key("medium", Keyword(get_args(roster.Medium)),
-        "What the drives hang on. rs485 takes 31 drives (90 with repeaters), rs232 one, fibre 52.",
+        "The medium of the line. rs485 takes 31 drives (90 with repeaters), rs232 one, fibre 52.",
         default="rs485"),
     Key("repeaters", YesNo(), "An rs485 line with repeaters: 90 drives instead of 31.",
         default=False),
@@ -96,7 +96,7 @@ _LINE: Final = Table("line", (
         "Largest share of line time spent on drives that do not answer.", default="10%"),
     Key("stall", Duration(1, _HOUR_S, zero="never"),
         "Silence of all drives after which the port is reopened; 0 for never.", default="30s"),
-), "The serial line and what it hangs on.")  # fmt: skip
+), "The serial line and its port.")  # fmt: skip
 
 _WATCHDOG: Final = Table("watchdog", (
     Key("time", Duration(0.001, 100),

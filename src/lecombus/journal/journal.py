@@ -286,11 +286,11 @@ class Journal:
         """
         return await self._ask_if_open(lambda db: reading.fact(db, name))
 
-    async def verify(self, told: Head | None = None) -> Verification:
+    async def verify(self, logged: Head | None = None) -> Verification:
         """Follow the whole chain, a little at a time.
 
         Args:
-            told: A head that was logged before: it must be in the chain.
+            logged: A head that was logged before: it must be in the chain.
 
         Raises:
             JournalFileError: It cannot be read.
@@ -308,8 +308,8 @@ class Journal:
             if problem or found.is_end:
                 break
             await asyncio.sleep(0.002)
-        if told is not None and not problem:
-            problem = await self._objection_to(told, first)
+        if logged is not None and not problem:
+            problem = await self._mistake_at_head(logged, first)
         if doubts and not problem:
             problem = "no other row is wrong"
         return Verification(rows, first, at, "; ".join(filter(None, (*doubts, problem))))
@@ -533,11 +533,11 @@ class Journal:
     async def _anchor(self) -> Head:
         return await self._ask(lambda db: reading.head_in(db, "anchor"))
 
-    async def _objection_to(self, told: Head, first: Head) -> str:
+    async def _mistake_at_head(self, logged: Head, first: Head) -> str:
         """Return what is wrong where a head was logged once; empty: it is in the chain."""
-        if told.number < first.number:
-            return f"row {told.number} was deleted because of the size: it cannot be compared"
-        found = await self._ask(lambda db: reading.hash_at(db, told.number))
+        if logged.number < first.number:
+            return f"row {logged.number} was deleted because of the size: it cannot be compared"
+        found = await self._ask(lambda db: reading.hash_at(db, logged.number))
         if found is None:
-            return f"row {told.number} is missing: rows at the end were removed"
-        return "" if found == told.hash else f"row {told.number} is not the one that was logged"
+            return f"row {logged.number} is missing: rows at the end were removed"
+        return "" if found == logged.hash else f"row {logged.number} is not the one that was logged"

@@ -165,7 +165,7 @@ def verify_rows(db: apsw.Connection, *, behind: Head, end: Head, most: int) -> V
     )
     head, doubts = behind, list[str]()
     for place, (*columns, digest) in enumerate(found):
-        problem = objection(head, columns, digest)
+        problem = mistake_in_row(head, columns, digest)
         if problem:
             return Verified(head, place, problem, doubts=tuple(doubts))
         if columns[KIND] == DOUBT:
@@ -173,7 +173,7 @@ def verify_rows(db: apsw.Connection, *, behind: Head, end: Head, most: int) -> V
         head = Head(columns[0], digest)
     if len(found) == most:
         return Verified(head, most, doubts=tuple(doubts))
-    problem = objection_to_end(db, head, end)
+    problem = mistake_at_ends(db, head, end)
     return Verified(head, len(found), problem, is_end=True, doubts=tuple(doubts))
 
 
@@ -184,7 +184,7 @@ def hash_at(db: apsw.Connection, number: int) -> bytes | None:
     return found[0][0] if found else None
 
 
-def objection(before: Head, columns: Sequence[Any], digest: bytes) -> str:
+def mistake_in_row(before: Head, columns: Sequence[Any], digest: bytes) -> str:
     """Return what is wrong with a row behind another; empty: nothing."""
     number, _, kind, _, intent, *_ = columns
     if number != before.number + 1 and (kind != DOUBT or number <= before.number):
@@ -208,7 +208,7 @@ def missing(before: Head, number: int) -> str:
     return f"row {number} stands behind row {before.number}: rows are missing between them"
 
 
-def objection_to_end(db: apsw.Connection, head: Head, end: Head) -> str:
+def mistake_at_ends(db: apsw.Connection, head: Head, end: Head) -> str:
     """Return what is wrong with where the chain begins and ends; empty: nothing."""
     anchor = head_in(db, "anchor")
     cut = select(db, "SELECT fields FROM entries WHERE kind = 'cut' ORDER BY id DESC LIMIT 1")

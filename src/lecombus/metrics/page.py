@@ -2,8 +2,8 @@
 
 Strategy: a page of a full line takes milliseconds to render, longer than a telegram may be held
 up. So it is rendered in pieces (one drive, one instrument), each far below a millisecond, at
-most about once a second however many scrape, and preferably while a drive is thinking: a scrape
-only requests a page, and the line calls `window` after each telegram. When
+most about once a second however many scrape, and preferably while a drive prepares its answer: a
+scrape only requests a page, and the line calls `window` after each telegram. When
 no window comes within `WINDOW_WAIT_S` (an idle or lost line), the scrape renders the pieces
 itself and lets other tasks run between them. A scrape never touches the line.
 """

@@ -41,11 +41,11 @@ ROSTER: Any = SimpleNamespace(modbus=SimpleNamespace(control=True), drives=DRIVE
 def test_a_stop_goes_out_once_though_the_follower_has_not_found_the_daemon_again(
     monkeypatch: pytest.MonkeyPatch, register: int, command: int, is_there: bool, sent: list[str]
 ) -> None:
-    def knock(path: str) -> None:
+    def try_socket(path: str) -> None:
         if not is_there:
             raise UnreachableError(f"nothing listens at {path}")
 
-    monkeypatch.setattr(bridge_module, "knock", knock)
+    monkeypatch.setattr(bridge_module, "try_socket", try_socket)
 
     async def write() -> list[str]:
         daemon = FakeDaemon()

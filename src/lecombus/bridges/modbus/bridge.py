@@ -27,7 +27,7 @@ from lecombus.bridges.modbus.register_map import (
 )
 from lecombus.bridges.modbus.register_values import ModbusError, ModbusException, RegisterReader
 from lecombus.client import ClientError, Line, connect
-from lecombus.client.finding import knock
+from lecombus.client.finding import try_socket
 from lecombus.drives import family
 from lecombus.roster import ModbusEntry, Roster
 
@@ -141,7 +141,7 @@ class ModbusBridge:
         if self._line is None:
             return
         try:
-            knock(self._follower.socket)
+            try_socket(self._follower.socket)
         except ClientError:
             return
         if drive is None:

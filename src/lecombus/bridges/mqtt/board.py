@@ -1,9 +1,11 @@
 """When what stands at the broker is sent again. Pure: time is an argument.
 
-Strategy: a message is sent when it says something else than what stands there, and before that
-expires; not each time a value is read. What should not stand there any more is removed. Nothing
-waits in a queue: what is due is asked for again before each sending, so that only the newest is
-sent, however long the broker was away.
+A message *stands* at the broker while the broker keeps it as a retained message.
+
+Strategy: a message is sent when it differs from the one that stands there, and before that one
+expires; not each time a value is read. What should not stand there any more is removed. There is no
+queue: what is due is determined again before each sending, so that only the newest is sent, however
+long the broker was away.
 """
 
 from __future__ import annotations
@@ -24,10 +26,10 @@ RENEW_PART: Final = 1 / 3
 """Of its time; the greater of both counts."""
 
 GAIN_S: Final = 0.2
-"""What is good for not much longer than what stands is not worth sending."""
+"""A message that is good for less than this beyond the one that stands is not sent."""
 
 LOSS_S: Final = 1.0
-"""What stands for so much longer than it is good is sent again, as after a reload."""
+"""A message that stands for longer than this after its value is good is sent again."""
 
 JSON_EVERY_S: Final = 1.0
 
@@ -35,7 +37,7 @@ EXPIRED_AFTER_S: Final = 2.0
 """So long after its time the broker has dropped a message: it counts in whole seconds."""
 
 NOT_KNOWN: Final = object()
-"""In the place of the mark of a message of which it is not known whether it stands."""
+"""The mark of a message that may or may not stand."""
 
 
 @dataclass(slots=True)

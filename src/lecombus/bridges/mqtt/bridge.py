@@ -88,8 +88,8 @@ class MqttBridge:
         self._entry: MqttEntry = roster.mqtt
         self._topics = Topics(self._entry.topics, roster.line.name)
         self._events = EventQueue(directory)
-        self._place = Place(None if directory is None else directory / "last-event")
-        self._heard_id = self._place.read()
+        self._position = SentPosition(None if directory is None else directory / "last-event")
+        self._heard_id = self._position.read()
         self.follower = LineFollower(roster.api.socket, after=self._heard_id)
         self.follower.listeners.append(self._heard)
         self._pulse = Pulse()
@@ -136,14 +136,14 @@ class MqttBridge:
         """Run until `stopping` is set, then end in good order."""
         async with anyio.create_task_group() as tasks:
             for work in (self.follower.run, self._commands.run, self._stay_connected,
-                         self._place.keep, self._watch_misses):  # fmt: skip
+                         self._position.keep, self._watch_misses):  # fmt: skip
                 tasks.start_soon(work)
             await stopping.wait()
             with anyio.move_on_after(END_WITHIN_S), suppress(BrokerError):
-                await self._say_goodbye()
+                await self._publish_end()
             tasks.cancel_scope.cancel()
         self._keep_events(at_end=True)
-        self._place.write()
+        self._position.write()
 
     # -- the connection --------------------------------------------------------------------------
 
@@ -237,7 +237,7 @@ class MqttBridge:
                     outcome = json_bytes(dict(message.properties))
                     await self._broker.publish(replace(message, payload=outcome))
 
-    async def _say_goodbye(self) -> None:
+    async def _publish_end(self) -> None:
         """Say that nothing more comes."""
         broker = self._broker
         self._is_ending = True
@@ -316,7 +316,7 @@ class MqttBridge:
         try:
             self._events.put(event.drive, text)
             if self._events.is_on_disk:
-                self._place.last_id = self._heard_id
+                self._position.last_id = self._heard_id
         except OSError as exc:
             logger.error("event=mqtt-events-not-kept reason=%s", exc)
         self._event_came.set()
@@ -340,7 +340,7 @@ class MqttBridge:
             while (entry := self._events.first()) is not None:
                 await self._send_event(broker, *entry)
                 self._events.done(entry)
-            self._place.last_id = self._heard_id
+            self._position.last_id = self._heard_id
             await self._event_came.wait()
 
     async def _send_event(self, broker: Broker, drive: str, text: str) -> None:
@@ -352,7 +352,7 @@ class MqttBridge:
     def _keep_events(self, *, at_end: bool = False) -> None:
         try:
             self._events.save(at_end=at_end)
-            self._place.last_id = self._heard_id
+            self._position.last_id = self._heard_id
         except OSError as exc:
             logger.error("event=mqtt-events-not-kept reason=%s", exc)
 
@@ -446,7 +446,7 @@ class Devices:
             self._shown.pop(message.topic, None)
 
 
-class Place:
+class SentPosition:
     """Up to which event the daemon's events were sent or are on the disk, kept in a file.
 
     Args:

@@ -1,10 +1,10 @@
 """One connection to the broker: TLS, limits, publishing, and what comes in.
 
-Strategy: each attempt has a client object of its own (ADR 84) and a clean session, so that nothing
+Strategy: each attempt has a new client object (ADR 84) and a clean session, so that nothing
 of an earlier connection is sent again, and nothing waits at the broker for a bridge that was away.
 The limits that the broker names when it accepts the connection are obeyed here.
 
-aiomqtt neither hands out what the broker said nor closes a connection that it gave up; so
+aiomqtt neither gives the broker's properties nor closes a connection that it gave up; so
 `BridgeClient` uses some of its private names (tests/bridges/test_mqtt_broker.py looks for them).
 """
 
@@ -313,7 +313,7 @@ class Broker:
         as_published: bool = True,
         within_s: float = SENT_WITHIN_S,
     ) -> None:
-        """Subscribe, and wait until the broker says so.
+        """Subscribe, and wait for the broker's acknowledgement.
 
         Args:
             filters: Topics, with wildcards where the broker takes them.

@@ -3,21 +3,21 @@
 Strategy: a command becomes one HTTP request, so that it has the rules and outcomes of HTTP. What
 makes it safe over a broker is decided before that:
 
-- A command that is retained, or that may have waited longer than it may, is not carried out. The
-  broker counts down what a command waits there. How long it waited on its way from the broker is
-  bounded by `Pulse`: what comes after an acknowledged message was sent by the broker after that
-  message was sent by the bridge. So commands are old that lay in the socket of a bridge that stood.
-  It is reckoned when a command comes: a later pulse says nothing of one that waits here already.
-  With QoS 2 that is before its handshake with the broker, which a later pulse may overtake.
-- Each is carried out once. One that comes again (the same topic, response topic and correlation
-  data) gets the first one's answer, or `unknown` if the bridge was started in between. The daemon's
-  memory of keys would not do: it is of the last 1000 requests of all clients. Without correlation
-  data a command must be sent with QoS 2 or 0: with QoS 1 a sender may send it twice, and that would
-  look like two commands.
-- A stop is none of that: it is carried out whenever it comes, unless it is retained, because a
-  retained one would come again at each connection. It waits for no other command (`StopLanes`).
-- Commands for one drive are carried out in the order in which they came. Each is asked for as at
-  the time when it came, so what waits here when a drive is stopped is not carried out either.
+- A command that is retained, or that may be older than its time allows, is not carried out. The
+  broker counts down the time that a command waits there. `Pulse` bounds the time on the way from
+  the broker: what comes after an acknowledged message left the broker after the bridge had sent
+  that message. So commands count as old that were left in the socket while the bridge did not run.
+  The age is calculated when a command comes, because a later pulse proves nothing about a command
+  that waits here. With QoS 2 that is before its handshake, which a later pulse may overtake.
+- Each command is carried out once. A repetition (the same topic, response topic and correlation
+  data) gets the answer of the first, or `unknown` if the bridge was started in between. The keys
+  that the daemon keeps are not enough: it has those of the last 1000 requests of all clients.
+  Without correlation data a command must be sent with QoS 2 or 0: with QoS 1 a sender may send it
+  twice, and the bridge could not distinguish that from two commands.
+- These rules do not hold for a stop. It is carried out whenever it comes, unless it is retained: a
+  retained stop would come again at each connection. It waits for no other command (`StopLanes`).
+- Commands for one drive are carried out in the order in which they came. Each counts as asked for
+  when it came, so a command that waits here when the drive is stopped is not carried out.
 - Drives that need a lease take only stops (ADR 86).
 """
 

@@ -1,9 +1,11 @@
 """Which stops go out now, and which are carried out together. Pure.
 
-A stop waits for no other command. But a client that sends the same one without end must not take
-the bridge from all others: of each target and kind a few go out at the same time, and what comes
-meanwhile goes out as one when the first of them ends. One under way says nothing of a later one, as
-somebody may have enabled the drive since; one that has not gone out yet is as good as the next.
+A stop waits for no other command. But a client that repeats one stop all the time must not occupy
+the bridge. So of each target and kind only a few stops are sent at the same time. Those that come
+after them wait until the first has ended, and are then sent as one stop.
+
+A stop that is under way cannot stand for a later one: a client may have enabled the drive between
+them. A stop that was not sent yet can.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ Lane = tuple[str, str]
 
 
 @dataclass(slots=True)
-class Stops:
+class LaneStops:
     """Stops of one target and kind."""
 
     under_way: int = 0
@@ -40,7 +42,7 @@ class StopLanes:
     """The stops that were taken and have not ended."""
 
     def __init__(self) -> None:
-        self._lanes: dict[Lane, Stops] = {}
+        self._lanes: dict[Lane, LaneStops] = {}
 
     def has_room(self, lane: Lane) -> bool:
         """Whether a stop can be taken that may be of something that there is not."""
@@ -48,7 +50,7 @@ class StopLanes:
 
     def take(self, lane: Lane, stop: Incoming) -> bool:
         """Take a stop; returns whether it goes out now. Otherwise `ended` gives it."""
-        stops = self._lanes.setdefault(lane, Stops())
+        stops = self._lanes.setdefault(lane, LaneStops())
         if stops.under_way < AT_ONCE:
             stops.under_way += 1
             return True

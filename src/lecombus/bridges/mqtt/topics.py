@@ -29,8 +29,8 @@ class CommandTopic:
 class Topics:
     """The topics of one line.
 
-    Plain values and JSON have topics of their own: who reads one of them with a wildcard must not
-    stumble over the other.
+    Plain values and JSON have separate topics, so that a wildcard for one of them does not match
+    the other.
 
     Args:
         prefix: The first levels, such as `lecombus`.
@@ -44,12 +44,12 @@ class Topics:
 
     @property
     def digest(self) -> str:
-        """Eight digits that tell this line from one whose name looks the same elsewhere."""
+        """Eight digits that distinguish this line from one with the same name and other levels."""
         return hashlib.sha256(self.root.encode()).hexdigest()[:8]
 
     @property
     def client(self) -> str:
-        """The line's name as a client; a broker has each but once, whatever the first levels."""
+        """The line's client identifier; a broker accepts each identifier only once."""
         name = f"lecombus-{self._line}"
         return name if self.prefix == USUAL_PREFIX else f"{name}-{self.digest}"
 

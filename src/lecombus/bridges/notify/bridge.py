@@ -1,4 +1,4 @@
-"""Runs what finds happenings and what sends them, for one line.
+"""Finds what happens on one line, and sends messages of it.
 
 Strategy: a channel has a `Sender` with entries of its own, a limit and a task. It waits a little
 for more that belongs into the same message, sends, and goes on; what cannot be sent is put back and
