@@ -263,3 +263,27 @@ def test_after_a_lapse_only_words_that_were_read_since_show_an_enabled_drive(
     readings = [read(code, value, age_s=age_s) for code, value, age_s in words]
     seen = motion(name, *readings, lapse=Lapse(1.0, may_quick_stop=may_quick_stop))
     assert (seen.doing, [one.name for one in seen.stops]) == (doing, stops)
+
+
+@pytest.mark.parametrize(
+    ("settings", "shown"),
+    [
+        ({Code(127): "0"}, ("20", "Hz")),
+        ({Code(127): "1"}, ("0", "%")),
+        ({}, ("0", "%")),  # what the drive obeys is not known: the one that was read last
+        ({Code(127): "0", Code(2127): "1"}, ("20", "Hz")),  # C0150 says that set 1 is in use
+    ],
+)
+def test_only_the_setpoint_that_the_drive_obeys_is_shown(
+    settings: dict[Code, str], shown: tuple[str, str]
+) -> None:
+    """A backup or a read of C0141 does not put it in the place of the setpoint in Hz."""
+    known = {
+        Code(150): read("C0150", "H8600"),
+        Code(46): read("C0046", "20", age_s=5.0),
+        Code(141): read("C0141", "0", age_s=1.0),
+    } | {code: read(str(code), text) for code, text in settings.items()}
+    setpoint = motion_of(family("821x"), None, known.get, ()).setpoint
+    assert setpoint is not None
+    told = setpoint.as_json()
+    assert (str(told["value"]), told["unit"]) == shown

@@ -29,6 +29,8 @@ from lecombus.drive_state.readings import (
 )
 from lecombus.drives import Family, OperatingState, StopAction, believed_states
 from lecombus.drives.stops import shown_after
+from lecombus.drives.verb_facts import Known, active_set_word, settings_in_force
+from lecombus.drives.verb_rules import SetpointRule
 from lecombus.parameters import Code, Json, Value
 
 __all__ = [
@@ -390,15 +392,43 @@ def _doing(
 def _setpoint(
     family: Family, known: Callable[[Code], Reading | None], written: Iterable[Reading]
 ) -> Speed | None:
-    """Give the setpoint that was read or written last."""
+    """Give the setpoint that was read or written last, of the codes that the drive obeys."""
+    unused = _unused_setpoints(family, known)
     read = (_usable(known(code), stale=True) for code in setpoint_codes(family))
-    found = [Speed(one) for one in read if one is not None]
-    found += [Speed(one, written=True) for one in written]
+    found = [Speed(one) for one in read if one is not None and one.code not in unused]
+    found += [Speed(one, written=True) for one in written if one.code not in unused]
     newest = min(found, key=lambda one: (one.reading.age_s or 0.0, one.written), default=None)
     if newest is None or newest.reading.unit:
         return newest
     info = family.info(newest.reading.code)
     return replace(newest, reading=replace(newest.reading, unit=info.unit if info else None))
+
+
+def _unused_setpoints(family: Family, known: Callable[[Code], Reading | None]) -> set[Code]:
+    """Name the codes of setpoints that have no effect, by a setting that is known (C0127).
+
+    Source: EDB2102EN 6.5.
+    """
+    rules = family.verbs.setpoints if family.verbs is not None else ()
+    word = active_set_word(family)
+    asked = {word} if word is not None else set()
+    for rule in rules:
+        if rule.when is not None:
+            code = rule.when.code
+            asked |= {Code(code.number + offset, code.subcode) for offset in family.set_offsets}
+    read = {code: _usable(known(code), stale=True) for code in asked}
+    facts = Known("", family, {
+        code: one.value for code, one in read.items() if one is not None and one.value is not None
+    })  # fmt: skip
+
+    def is_unused(rule: SetpointRule) -> bool:
+        if rule.when is None:
+            return False
+        settings = settings_in_force(facts, rule.when.code).values()
+        return bool(settings) and not any(map(rule.when.holds, settings))
+
+    used = {rule.code for rule in rules if not is_unused(rule)}
+    return {rule.code for rule in rules} - used
 
 
 def _has_unit(family: Family, code: Code) -> bool:
