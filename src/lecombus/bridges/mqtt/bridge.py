@@ -379,6 +379,13 @@ class MqttBridge:
             await anyio.sleep(CHANGES_WAIT_S)
 
 
+STANDS: Final = b"stands"
+"""In the place of a message of which it is known only that there was one."""
+
+PARTS_MOST: Final = 300
+"""Of a device; a drive has some ten."""
+
+
 class Devices:
     """The drives that Home Assistant knows, and those that it should know.
 
@@ -394,6 +401,7 @@ class Devices:
         self.discovery = discovery
         self._follower = follower
         self._shown: dict[str, bytes] = {}
+        self._parts: dict[str, dict[str, str]] = {}
         self._seen: tuple[object, ...] = ()
         self.came = anyio.Event()
 
@@ -410,8 +418,8 @@ class Devices:
             self.came.set()
 
     def forget(self) -> None:
-        """Send all again."""
-        self._shown.clear()
+        """Send all again, and remove again what may still stand there."""
+        self._shown = dict.fromkeys(self._shown, STANDS)
         self.came.set()
 
     def takes(self, incoming: Incoming) -> bool:
@@ -422,7 +430,8 @@ class Devices:
             return True
         found = self.discovery.is_topic(incoming.topic)
         if found and incoming.payload and self.discovery.is_ours(incoming.payload):
-            self._shown.setdefault(incoming.topic, b"stands")
+            self._shown.setdefault(incoming.topic, STANDS)
+            self._add_parts(incoming.topic, incoming.payload)
             self.came.set()
         return found
 
@@ -433,7 +442,8 @@ class Devices:
         wanted = {}
         for drive in self._follower.drives.values():
             if drive.family:
-                message = self.discovery.message(drive, self._follower)
+                before = self._parts.get(self.discovery.topic(drive.name), {})
+                message = self.discovery.message(drive, self._follower, before)
                 wanted[message.topic] = message
         gone = [self.discovery.removal(topic) for topic in self._shown if topic not in wanted]
         return gone + [one for one in wanted.values() if self._shown.get(one.topic) != one.payload]
@@ -442,8 +452,15 @@ class Devices:
         """Note what was sent."""
         if message.payload:
             self._shown[message.topic] = message.payload
+            self._add_parts(message.topic, message.payload)
         else:
             self._shown.pop(message.topic, None)
+            self._parts.pop(message.topic, None)
+
+    def _add_parts(self, topic: str, payload: bytes) -> None:
+        """Note parts that Home Assistant knows; not without end, as others may write them too."""
+        parts = self._parts.get(topic, {}) | self.discovery.parts(payload)
+        self._parts[topic] = dict(list(parts.items())[-PARTS_MOST:])
 
 
 class Place:
