@@ -3,16 +3,18 @@
     python -m soak.run [--hours 1] [--idle]
 
 31 simulated drives at 19200 on a pseudo terminal, served by a process of their own; the daemon with
-its journal and the Modbus bridge; scrapes, readers of events, and clients that read, write and
-stop; and busy loops of lower priority on every core (none with `--idle`). At the end, and every
-minute, memory, descriptors, threads and the size of the journal are shown. It fails if
+its journal, the Modbus bridge, and the MQTT bridge with a broker; scrapes, readers of events, and
+clients that read, write and stop; and busy loops of lower priority on every core (none with
+`--idle`). At the end, and every minute, memory, descriptors, threads and the size of the journal
+are shown, and at the end the memory of the bridges. It fails if
 
 * a watchdog of a drive acted, or the daemon says that it fed one too late;
 * memory grew by 1 % or more after the first ten minutes (shown only, where it runs for less than
   twenty: caches and the buffer of events fill up at first);
 * threads grew by more than `SPARE`, or the journal beyond its largest size;
 * more than `SPARE` further descriptors are open when the clients have gone;
-* a request ended otherwise than documented.
+* a request ended otherwise than documented;
+* a bridge has ended, or lost the daemon or the broker.
 """
 
 from __future__ import annotations
@@ -40,6 +42,7 @@ from support.daemon_host import (
     started,
     until,
 )
+from support.mqtt_parts import broker
 from support.rosters import Wanted, roster_text
 from support.traffic import CUT, HANGING, Asked, Traffic, get, put
 
@@ -118,12 +121,13 @@ def mixed() -> list[Asked]:
     return asked
 
 
-def roster(folder: Path, http: int, modbus: int) -> str:
+def roster(folder: Path, http: int, modbus: int, mqtt: int) -> str:
     """Write the roster of the line."""
     return roster_text(
         DRIVES, port=folder / "port", folder=folder, watchdog=WATCHDOG, drive=KEYS, http=http,
         sections=f"journal: {{file: {folder / 'journal.sqlite'}, max_size: 32MB}}\n"
-        f"modbus: {{port: {modbus}}}",
+        f"modbus: {{port: {modbus}}}\n"
+        f"mqtt: {{host: 127.0.0.1, port: {mqtt}, tls: no, home_assistant: homeassistant}}",
     )  # fmt: skip
 
 
@@ -133,7 +137,9 @@ def soak(seconds: float, *, idle: bool) -> tuple[list[Sample], list[str]]:
     with ExitStack() as stack:
         folder = stack.enter_context(short_dir())
         http, modbus = free_port(), free_port()
-        text = roster(folder, http, modbus)
+        (folder / "broker").mkdir()
+        mqtt = stack.enter_context(broker(folder / "broker")).port
+        text = roster(folder, http, modbus, mqtt)
         (folder / "line.yaml").write_text(text)
         line = stack.enter_context(
             child("support.paced_line", folder / "port", "--roster", folder / "line.yaml")
@@ -141,8 +147,10 @@ def soak(seconds: float, *, idle: bool) -> tuple[list[Sample], list[str]]:
         line.ask("so_far")
         daemon = stack.enter_context(running(text, folder))
         daemon.until_online(within_s=240.0)
-        words = command("bridge", "modbus", "-c", folder / "roster.yaml")
-        bridge = stack.enter_context(started(words, folder / "bridge.log"))
+        bridges = {}
+        for name, more in (("modbus", ()), ("mqtt", ("--state", folder / "mqtt"))):
+            words = command("bridge", name, "-c", folder / "roster.yaml", *more)
+            bridges[name] = stack.enter_context(started(words, folder / f"{name}.log"))
         pid, journal = daemon.process.pid, folder / "journal.sqlite"
         for _ in range(READERS):
             reader = command("events", "--socket", daemon.socket, "--json")
@@ -171,8 +179,12 @@ def soak(seconds: float, *, idle: bool) -> tuple[list[Sample], list[str]]:
             broken.append(f"fed too late: {_missed(daemon)}")
         if {HANGING, CUT, 500} & set(traffic.statuses):
             broken.append(f"requests ended as {dict(traffic.statuses)}")
-        if bridge.poll() is not None:
-            broken.append("the bridge has ended")
+        for name, bridge in bridges.items():
+            if bridge.poll() is not None:
+                broken.append(f"the {name} bridge has ended")
+                continue
+            print(f"{name} bridge: {sample(bridge.pid, journal, 0.0).rss_kb / 1000:.1f} MB")
+            broken += [f"{name} bridge: {row}" for row in lost_by(folder / f"{name}.log")]
         try:
             least = samples[0].descriptors + SPARE
             until(lambda: sample(pid, journal, 0.0).descriptors <= least, "", within_s=90.0)
@@ -183,6 +195,15 @@ def soak(seconds: float, *, idle: bool) -> tuple[list[Sample], list[str]]:
         if daemon.end() != 0:
             broken.append("the daemon did not end well")
     return samples, broken
+
+
+def lost_by(log: Path) -> list[str]:
+    """Return the rows of a bridge's log that say that it lost something, or had it never."""
+    rows = log.read_text().splitlines()
+    found = [row for row in rows if "event=daemon-away" in row or "event=mqtt-lost" in row]
+    wanted = {"daemon-connected"} | ({"mqtt-connected"} if log.stem == "mqtt" else set())
+    missing = [one for one in sorted(wanted) if not any(f"event={one} " in row for row in rows)]
+    return [*found, *(f"no {one}" for one in missing)]
 
 
 def judged(samples: list[Sample], from_s: float) -> list[str]:
