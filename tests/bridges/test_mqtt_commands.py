@@ -223,6 +223,20 @@ def test_a_command_that_comes_again_is_answered_again_and_not_carried_out_again(
     with_bench(script)
 
 
+def test_correlation_data_of_another_command_does_not_give_its_outcome() -> None:
+    """`done` of the 20 would be taken for that of the 0, which is never sent."""
+
+    async def script(bench: Bench) -> None:
+        for payload in ("20", "0", '{"value": 20, "expires": "3s"}', '{"value": 20', "20"):
+            bench.take("feeder/set/C0046", payload, correlation=b"a")
+            await anyio.sleep(1)
+        assert [body["value"] for _, _, body, _ in bench.daemon.requests] == [20]
+        assert bench.outcomes == ["done", "refused", "done", "refused", "done"]
+        assert bench.kinds == [None, "key-reused", None, "key-reused", None]
+
+    with_bench(script)
+
+
 def test_a_command_that_came_before_a_restart_is_not_carried_out_again(tmp_path: Path) -> None:
     file = tmp_path / "commands"
 

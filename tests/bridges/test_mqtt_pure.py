@@ -190,12 +190,14 @@ def test_after_a_broker_was_away_what_is_not_so_any_more_is_removed_and_all_else
 def test_a_command_is_known_after_a_restart_but_not_how_it_ended(tmp_path: Path) -> None:
     seen = SeenCommands(tmp_path / "commands")
     seen.note("a")
-    seen.ended("a", {"outcome": "done"})
+    seen.ended("a", "20", {"outcome": "done"})
     assert seen.outcome("a") == {"outcome": "done"}
+    assert [seen.said_else("a", "20"), seen.said_else("a", "30")] == [False, True]
     again = SeenCommands(tmp_path / "commands")
     assert "a" in again
     assert "b" not in again
     assert again.outcome("a") is None
+    assert not again.said_else("a", "30"), "that is not known any more"
 
 
 def test_commands_for_many_drives_are_kept_at_the_same_time(

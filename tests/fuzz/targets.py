@@ -514,6 +514,7 @@ def check_mqtt(data: bytes) -> None:
         return
     expiry_s = None if how & 2 else how >> 2
     incoming = Incoming(topic, payload, 1, False, 0.0, expiry_s)
+    mqtt_commands.said_of(command, payload)
     try:
         if command.what == "set":
             code = mqtt_commands.code_of(command.name)

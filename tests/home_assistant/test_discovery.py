@@ -16,6 +16,7 @@ import pytest
 from home_assistant.followed import Followed, devices
 from home_assistant.installed import install
 from lecombus.bridges.mqtt.broker import Incoming
+from lecombus.bridges.mqtt.discovery import PLATFORMS
 from lecombus.bridges.mqtt.retained import JSON_STANDS_S, STATE_STANDS_S
 from lecombus.drives import FAMILY_NAMES
 
@@ -96,13 +97,13 @@ def test_codes_and_periods_that_a_reload_changed_are_made_known() -> None:
         assert known.came.is_set()
         (message,) = known.due()
         known.sent(message)
-        part = json.loads(message.payload)["components"].get(code)
-        return None if part is None else int(part["expire_after"])
+        part = json.loads(message.payload)["components"][code]
+        return None if part == {"platform": "sensor"} else int(part["expire_after"])
 
     follower._periods["feeder", "C0050"] = 20.0
     assert expire_after("C0050") == 42
     del follower._periods["feeder", "C0050"]
-    assert expire_after("C0050") is None
+    assert expire_after("C0050") is None, "it is removed, as left out it would stay"
     follower._periods["feeder", "C0050"] = 2.0
     assert expire_after("C0050") == 6
     overfull: Any = SimpleNamespace(document={"planned_stretch": 2.0})
@@ -139,6 +140,54 @@ def test_a_drive_that_left_the_roster_is_removed_also_if_the_bridge_was_not_ther
     assert known.due() == []
 
 
+def test_a_drive_that_left_is_removed_if_home_assistant_starts_before_the_daemon_answers() -> None:
+    topic = "homeassistant/device/lecombus_hall-3_drive-93xx/config"
+    ours = dict(documents(control=False))
+    follower = Followed()
+    del follower.drives["drive-93xx"]
+    follower.is_connected = False
+    known = devices(follower)
+    known.takes(incoming(topic, ours[topic].encode(), is_retained=True))
+    known.takes(incoming("homeassistant/status", b"online"))
+    follower.is_connected = True
+    assert topic in [message.topic for message in known.due() if not message.payload]
+
+
+def test_the_speed_is_removed_when_the_roster_allows_no_control_any_more() -> None:
+    """Home Assistant keeps a part that is only left out, until it is started again."""
+    topic = "homeassistant/device/lecombus_hall-3_feeder/config"
+    follower = Followed({"feeder": "8200vector"})
+    (allowed,) = devices(follower, control=True).due()
+    known = devices(follower)
+    known.takes(incoming(topic, allowed.payload, is_retained=True))
+    for _ in range(2):  # also when all is sent again
+        (message,) = known.due()
+        assert json.loads(message.payload)["components"]["speed"] == {"platform": "number"}
+        known.sent(message)
+        assert known.due() == []
+        known.takes(incoming("homeassistant/status", b"online"))
+    again = devices(follower, control=True)
+    again.takes(incoming(topic, message.payload, is_retained=True))
+    (message,) = again.due()
+    assert "command_topic" in json.loads(message.payload)["components"]["speed"]
+
+
+def test_parts_that_others_made_up_are_bounded() -> None:
+    topic = "homeassistant/device/lecombus_hall-3_feeder/config"
+    known = devices(Followed({"feeder": "8200vector"}))
+    for strange in (b"", b"[1]", b'{"components": 1}', b'{"components": {"x": 1}}'):
+        assert known.discovery.parts(strange) == {}
+    (message,) = known.due()
+    found = json.loads(message.payload)
+    for number in range(2000):
+        found["components"][f"x{number}"] = {"platform": "sensor" if number % 2 else "lock"}
+    known.takes(incoming(topic, json.dumps(found).encode(), is_retained=True))
+    (message,) = known.due()
+    parts = json.loads(message.payload)["components"]
+    assert len(parts) < 400
+    assert {part["platform"] for part in parts.values()} <= set(PLATFORMS)
+
+
 def incoming(topic: str, payload: bytes, *, is_retained: bool = False) -> Incoming:
     return Incoming(topic, payload, 1, is_retained, 0.0)
 
@@ -157,6 +206,10 @@ def test_home_assistant_takes_what_it_is_sent(python: Path, *, control: bool) ->
     sent = dict(documents(control=control))
     assert len(sent) == len(FAMILY_NAMES)
     assert said_of(python, sent) == []
+    known = devices(Followed(), control=control)
+    for topic, text in documents(control=not control):
+        known.takes(incoming(topic, text.encode(), is_retained=True))
+    assert said_of(python, {one.topic: one.payload.decode() for one in known.due()}) == []
 
 
 @pytest.mark.long

@@ -27,6 +27,8 @@ def mistakes(topic, text):
         yield f"{topic}: {exc}"
         return
     for key, component in found["components"].items():
+        if component.keys() == {"platform"}:
+            continue  # with nothing else it is removed, and never reaches the platform's schema
         config = MQTTDiscoveryPayload(
             {**component, "device": found["device"], "origin": found["origin"]}
         )

@@ -13,7 +13,8 @@ are shown. It fails if
   where it runs for less than twenty: caches and the buffer of events fill up at first);
 * threads grew by more than `SPARE`, or the journal beyond its largest size;
 * more than `SPARE` further descriptors are open when the clients have gone;
-* a request ended otherwise than documented, or a bridge ended.
+* a request ended otherwise than documented;
+* a bridge ended, or lost the daemon or the broker.
 """
 
 from __future__ import annotations
@@ -194,6 +195,8 @@ def soak(seconds: float, *, idle: bool) -> tuple[list[Sample], list[str]]:
         if {HANGING, CUT, 500} & set(traffic.statuses):
             broken.append(f"requests ended as {dict(traffic.statuses)}")
         broken += [f"bridge {one}: ended" for one in bridges if bridges[one].poll() is not None]
+        for name, log in (("modbus", folder / "modbus.log"), ("mqtt", folder / "bridge.log")):
+            broken += [f"bridge {name}: {row}" for row in lost_by(log, name)]
         if not heard:
             broken.append("nothing came by the broker")
         try:
@@ -206,6 +209,15 @@ def soak(seconds: float, *, idle: bool) -> tuple[list[Sample], list[str]]:
         if daemon.end() != 0:
             broken.append("the daemon did not end well")
     return samples, broken
+
+
+def lost_by(log: Path, name: str) -> list[str]:
+    """Return the rows of a bridge's log that say that it lost something, or had it never."""
+    rows = log.read_text().splitlines()
+    found = [row for row in rows if "event=daemon-away" in row or "event=mqtt-lost" in row]
+    wanted = {"daemon-connected"} | ({"mqtt-connected"} if name == "mqtt" else set())
+    missing = [one for one in sorted(wanted) if not any(f"event={one} " in row for row in rows)]
+    return [*found, *(f"no {one}" for one in missing)]
 
 
 def judged(samples: list[Sample], from_s: float) -> list[str]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from soak.run import JOURNAL_BYTES, Sample, grown, judged, soak
+from soak.run import JOURNAL_BYTES, Sample, grown, judged, lost_by, soak
 
 
 def samples(**at_the_end: Any) -> list[Sample]:
@@ -45,6 +46,16 @@ def test_memory_of_a_short_run_is_only_shown() -> None:
 def test_the_first_minutes_do_not_count() -> None:
     assert grown(samples(), 0.0) > 0.1
     assert grown(samples(), 600.0) == 0.0
+
+
+def test_a_bridge_that_lost_something_or_never_had_it_is_seen(tmp_path: Path) -> None:
+    log = tmp_path / "bridge.log"
+    log.write_text("event=daemon-connected line=x\nevent=mqtt-connected broker=x\n")
+    assert lost_by(log, "mqtt") == []
+    log.write_text("event=daemon-connected line=x\nevent=mqtt-lost broker=x\n")
+    assert lost_by(log, "mqtt") == ["event=mqtt-lost broker=x", "no mqtt-connected"]
+    log.write_text("event=daemon-connected line=x\nevent=daemon-away reason=x\n")
+    assert lost_by(log, "modbus") == ["event=daemon-away reason=x"]
 
 
 @pytest.mark.real

@@ -15,6 +15,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from typing import Any, Final
 
 import yaml
@@ -28,11 +29,15 @@ __all__ = ["COMMAND_KEYS", "MASK", "Masked", "Masker", "mask_roster"]
 MASK: Final = "***"
 
 SECRET_KEY: Final = re.compile(
-    r"pass(word|wd|phrase)?$|pwd$|secret|token|credential|api_?key|^key$|^pin$|^auth", re.IGNORECASE
-)
+    r"pass(wor[dt]|wd|phrase)?$|pwd$|(^|_)pw$|kennwort|secret|token|credential|api_?key|^key$|^pin$"
+    r"|^auth", re.IGNORECASE,
+)  # fmt: skip
 SECRET_FILE: Final = "password_file"
 COMMAND_KEYS: Final = frozenset({"command"})
 """Their words may hold anything; the program alone, their first word, is kept."""
+
+MISSPELT: Final = 0.8
+"""So much alike are a key and a mistyped one, by difflib: `comand`, and not `command_time`."""
 
 COMMAND_PATHS: Final = tuple(f".{key}" for key in COMMAND_KEYS)
 """How their paths end in rows of the journal that say what changed in a roster."""
@@ -135,18 +140,21 @@ def values_by_key(tokens: list[Any]) -> Iterator[tuple[str, list[Any]]]:
 
 
 def secret_values(tokens: list[Any]) -> Iterator[Any]:
-    """Give the scalars that are, or are in, the value of a key that sounds like a secret."""
+    """Give the scalars that are, or are in, the value of a key that sounds like a secret.
+
+    A path is none. What stands for the file of a password and is no path may be the password.
+    """
     for key, values in values_by_key(tokens):
         if is_password(key):
             yield from values
-        elif SECRET_KEY.search(key) and not key.endswith("_file"):
+        elif SECRET_KEY.search(re.sub("[-_]file$", "", key)):
             yield from (one for one in values if not one.value.startswith("/"))
 
 
 def command_words(tokens: list[Any]) -> Iterator[Any]:
     """Give the words of commands, without the programs."""
     for key, values in values_by_key(tokens):
-        if key in COMMAND_KEYS:
+        if get_close_matches(key.lower(), COMMAND_KEYS, cutoff=MISSPELT):
             yield from values[1:]
 
 

@@ -27,6 +27,7 @@ from lecombus.bridges.line_follower import LineFollower
 from lecombus.bridges.mqtt.board import Board
 from lecombus.bridges.mqtt.broker import Broker, BrokerError, Incoming, WillLimits, open_broker
 from lecombus.bridges.mqtt.commands import PULSE_EVERY_S, VERBS, Commands, Pulse
+from lecombus.bridges.mqtt.devices import Devices
 from lecombus.bridges.mqtt.discovery import Discovery
 from lecombus.bridges.mqtt.event_queue import EventQueue
 from lecombus.bridges.mqtt.retained import (
@@ -377,73 +378,6 @@ class MqttBridge:
                 self._devices.sent(message)
             await self._devices.came.wait()
             await anyio.sleep(CHANGES_WAIT_S)
-
-
-class Devices:
-    """The drives that Home Assistant knows, and those that it should know.
-
-    Args:
-        discovery: Makes the messages.
-        follower: Knows the drives.
-
-    Attributes:
-        came: Set when there may be something to send.
-    """
-
-    def __init__(self, discovery: Discovery, follower: LineFollower) -> None:
-        self.discovery = discovery
-        self._follower = follower
-        self._shown: dict[str, bytes] = {}
-        self._seen: tuple[object, ...] = ()
-        self.came = anyio.Event()
-
-    def looked(self) -> None:
-        """Look whether there is something else to make known than before."""
-        follower = self._follower
-        seen = (follower.stretch, *(
-            (drive.name, drive.family, self.discovery.speed_unit(drive),
-             tuple((code, follower.period_s(drive.name, code)) for code in drive.values))
-            for drive in follower.drives.values()
-        ))  # fmt: skip
-        if seen != self._seen:
-            self._seen = seen
-            self.came.set()
-
-    def forget(self) -> None:
-        """Send all again."""
-        self._shown.clear()
-        self.came.set()
-
-    def takes(self, incoming: Incoming) -> bool:
-        """Take a message, if it is Home Assistant's birth or a device that stands at the broker."""
-        if incoming.topic == self.discovery.birth:
-            if incoming.payload == b"online":
-                self.forget()
-            return True
-        found = self.discovery.is_topic(incoming.topic)
-        if found and incoming.payload and self.discovery.is_ours(incoming.payload):
-            self._shown.setdefault(incoming.topic, b"stands")
-            self.came.set()
-        return found
-
-    def due(self) -> list[Message]:
-        """Return what is to be sent; nothing before the daemon has said which drives there are."""
-        if not self._follower.is_connected:
-            return []
-        wanted = {}
-        for drive in self._follower.drives.values():
-            if drive.family:
-                message = self.discovery.message(drive, self._follower)
-                wanted[message.topic] = message
-        gone = [self.discovery.removal(topic) for topic in self._shown if topic not in wanted]
-        return gone + [one for one in wanted.values() if self._shown.get(one.topic) != one.payload]
-
-    def sent(self, message: Message) -> None:
-        """Note what was sent."""
-        if message.payload:
-            self._shown[message.topic] = message.payload
-        else:
-            self._shown.pop(message.topic, None)
 
 
 class SentPosition:

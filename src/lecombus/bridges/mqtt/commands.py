@@ -10,9 +10,9 @@ makes it safe over a broker is decided before that:
   The age is calculated when a command comes, because a later pulse proves nothing about a command
   that waits here. With QoS 2 that is before its handshake, which a later pulse may overtake.
 - Each command is carried out once. A repetition (the same topic, response topic and correlation
-  data) gets the answer of the first, or `unknown` if the bridge was started in between. The keys
-  that the daemon keeps are not enough: it has those of the last 1000 requests of all clients.
-  Without correlation data a command must be sent with QoS 2 or 0: with QoS 1 a sender may send it
+  data) gets the answer of the first, or `unknown` if the bridge was started in between. One with
+  another payload is refused, as over HTTP. The keys that the daemon keeps are not enough: it has
+  those of the last 1000 requests of all clients. Without correlation data a command must be sent with QoS 2 or 0: with QoS 1 a sender may send it
   twice, and the bridge could not distinguish that from two commands.
 - These rules do not hold for a stop. It is carried out whenever it comes, unless it is retained: a
   retained stop would come again at each connection. It waits for no other command (`StopLanes`).
@@ -257,9 +257,12 @@ class Commands:
 
     async def _carry_out(self, incoming: Incoming, topic: CommandTopic) -> None:
         """Carry out a command, and answer with its outcome."""
-        document = self._answer_before(incoming) or await self._outcome(incoming, topic)
-        if incoming.correlation is not None:
-            self._seen.ended(key_of(incoming), document)
+        said = said_of(topic, incoming.payload)
+        document = self._answer_before(incoming, said)
+        if document is None:
+            document = await self._outcome(incoming, topic)
+            if incoming.correlation is not None:
+                self._seen.ended(key_of(incoming), said, document)
         await self._end(incoming, topic, document)
 
     async def _outcome(self, incoming: Incoming, topic: CommandTopic) -> dict[str, Any]:
@@ -269,11 +272,17 @@ class Commands:
         except CommandRefusedError as exc:
             return exc.document
 
-    def _answer_before(self, incoming: Incoming) -> dict[str, Any] | None:
+    def _answer_before(self, incoming: Incoming, said: str) -> dict[str, Any] | None:
         """Return the answer of a command that came before; None: it is new, or a stop."""
         key = key_of(incoming)
         if incoming.correlation is None or key not in self._seen:
             return None
+        if self._seen.said_else(key, said):
+            # The first one's outcome would be taken for that of this one, which is not sent.
+            return CommandRefusedError(
+                "key-reused", "its correlation data was used for another command before",
+                "give each command correlation data of its own",
+            ).document  # fmt: skip
         known = self._seen.outcome(key)
         if known is not None:
             return {**known, "repeated": True}
@@ -439,6 +448,16 @@ def key_of(incoming: Incoming) -> str:
     parts = (incoming.topic.encode(), incoming.response_topic.encode(), incoming.correlation)
     digest = hashlib.sha256(b"\0".join(len(part).to_bytes(4, "big") + part for part in parts))
     return f"mqtt-{digest.hexdigest()[:40]}"
+
+
+def said_of(topic: CommandTopic, payload: bytes) -> str:
+    """Return what a command says, the same for each way to write it; its time does not count."""
+    try:
+        document = body_of(topic, payload)
+    except CommandRefusedError:
+        return hashlib.sha256(payload).hexdigest()
+    document.pop("expires", None)
+    return hashlib.sha256(repr(sorted(document.items())).encode()).hexdigest()
 
 
 def code_of(name: str) -> str:

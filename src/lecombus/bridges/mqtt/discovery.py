@@ -4,6 +4,8 @@ Read-only, with buttons that stop the drive; with `control` also a number for it
 shown of a drive is available while bridge, daemon, line and drive are there; its state and the
 buttons while bridge and daemon are. All that is shown also expires in Home Assistant: it hears
 nothing when a message expires at the broker, nor `offline` of a bridge that went with its broker.
+Home Assistant keeps a part of a device that is only left out, such as the number after `control`
+was taken out of the roster. It removes one of which only the platform is said.
 
 https://www.home-assistant.io/integrations/mqtt/#device-discovery-payload
 """
@@ -48,6 +50,9 @@ DRIVE_IS_THERE: Final = "{{ 'online' if value in ('online', 'degraded') else 'of
 
 LATE_S: Final = 10
 """How much later than expected a state may be said again until it is not believed any more."""
+
+PLATFORMS: Final = ("sensor", "binary_sensor", "button", "number")
+"""Those of the parts of a drive."""
 
 SPEED_MOST: Final[Mapping[str, int]] = {"Hz": 650, "%": 200}
 """What the number takes; the daemon knows the drive's own range, and refuses what is beyond."""
@@ -99,10 +104,29 @@ class Discovery:
         """Return what removes a device."""
         return Message(topic, EMPTY, 1)
 
-    def message(self, drive: FollowedDrive, follower: LineFollower) -> Message:
-        """Return what makes a drive known."""
-        payload = json_bytes(self._document(drive, follower))
-        return Message(self.topic(drive.name), payload, 1, content_type="application/json")
+    def message(
+        self, drive: FollowedDrive, follower: LineFollower, before: Mapping[str, str]
+    ) -> Message:
+        """Return what makes a drive known.
+
+        Args:
+            drive: The drive.
+            follower: Knows how often its codes are read.
+            before: The parts that were made known of it, and their platforms; those that it has no
+                more are removed.
+        """
+        document = self._document(drive, follower)
+        gone = {key: {"platform": platform} for key, platform in before.items()}
+        document["components"] = gone | document["components"]
+        topic = self.topic(drive.name)
+        return Message(topic, json_bytes(document), 1, content_type="application/json")
+
+    def parts(self, payload: bytes) -> dict[str, str]:
+        """Return the parts of a device that stands at the broker, with their platforms."""
+        with suppress(ValueError, TypeError, AttributeError, KeyError):
+            found = json.loads(payload)["components"].items()
+            return {key: one["platform"] for key, one in found if one["platform"] in PLATFORMS}
+        return {}
 
     def _document(self, drive: FollowedDrive, follower: LineFollower) -> dict[str, Any]:
         line = {"topic": self._topics.line_state, "value_template": LINE_IS_THERE}

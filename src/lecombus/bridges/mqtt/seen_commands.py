@@ -2,8 +2,8 @@
 
 A sender that got no acknowledgement sends a command again, maybe much later. Keys are kept in a
 file, one a line, appended before the command is carried out: so it is never carried out again, not
-even if the bridge ended in the middle. How a command ended is remembered only while the bridge
-runs, and only of the latest.
+even if the bridge ended in the middle. What a command said, and how it ended, is remembered only
+while the bridge runs, and only of the latest.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class SeenCommands:
     def __init__(self, file: Path | None) -> None:
         self._file = file
         self._keys: dict[str, None] = {}
-        self._outcomes: dict[str, Mapping[str, Any]] = {}
+        self._ended: dict[str, tuple[str, Mapping[str, Any]]] = {}
         self._lines = 0
         self._noting = threading.Lock()
         if file is not None:
@@ -58,13 +58,19 @@ class SeenCommands:
 
     def outcome(self, key: str) -> Mapping[str, Any] | None:
         """Return how a command ended; None: that is not known any more."""
-        return self._outcomes.get(key)
+        found = self._ended.get(key)
+        return None if found is None else found[1]
 
-    def ended(self, key: str, document: Mapping[str, Any]) -> None:
-        """Remember how a command ended."""
-        self._outcomes[key] = document
-        while len(self._outcomes) > OUTCOMES_KEPT:
-            del self._outcomes[next(iter(self._outcomes))]
+    def said_else(self, key: str, said: str) -> bool:
+        """Whether the command that came before said something else, as far as that is known."""
+        found = self._ended.get(key)
+        return found is not None and found[0] != said
+
+    def ended(self, key: str, said: str, document: Mapping[str, Any]) -> None:
+        """Remember what a command said, and how it ended."""
+        self._ended[key] = (said, document)
+        while len(self._ended) > OUTCOMES_KEPT:
+            del self._ended[next(iter(self._ended))]
 
     def note(self, key: str) -> None:
         """Keep that a command came, on the disk before this returns.
