@@ -650,6 +650,7 @@ def test_a_stop_of_a_silenced_drive_goes_out_and_it_stays_silenced() -> None:
         with pytest.raises(OperationError, match="sent nothing, so that its watchdog acts") as no:
             await client.ops.read("a", Code(150))
         assert no.value.kind == "offline"
+        assert "once a lease is held for it" in no.value.remedy  # its wires are not the cause
         assert plant.sent_to(11, since_s) == []
         report = await client.ops.stop(StopAction.INHIBIT, "a")
         assert report.outcome is Outcome.VERIFIED

@@ -164,7 +164,7 @@ def _say_if_unknown(daemon: DaemonOptions, drive: str) -> None:
         near = get_close_matches(drive, sorted(names), 1)
         hint = f"did you mean {near[0]}?" if near else f"they are: {', '.join(sorted(names))}"
         text = f"no row is about {drive}, and there is no drive and no group of that name; {hint}"
-        click.echo(harmless(text), err=True)
+        click.echo(printable(text), err=True)
 
 
 def _newest(daemon: DaemonOptions, last: int, of: Mapping[str, str]) -> Document:

@@ -36,6 +36,7 @@ __all__ = [
     "CAME_S",
     "HELD_FROM_S",
     "IS_GONE",
+    "SILENCED_REMEDY",
     "Ending",
     "Requests",
     "client_check",
@@ -82,6 +83,13 @@ def refuse_for_gone_client(drive: str) -> None:
 def client_check(station: Station, code: Code, wire: Value) -> Callable[[], bool] | None:
     """Give what withdraws a write that waits when its client leaves; None for one that stops."""
     return None if asks_to_stop(station.family, code, wire) else IS_GONE.get()
+
+
+SILENCED_REMEDY: Final = (
+    "nothing was sent; requests are sent to it again once a lease is held for it and its watchdog "
+    "has had its time"
+)
+"""What is said to those who ask a silenced drive for something."""
 
 
 class Ending:
@@ -386,7 +394,14 @@ class Requests:
         assert isinstance(job, ReadWork)
         if job.value is not None:
             return job.value, reason
-        raise job.error or never_sent(outcome, reason, station, code)
+        if job.error is not None:
+            raise job.error
+        raise never_sent(outcome, reason, station, code, silenced=self.is_silenced(station.name))
+
+    def is_silenced(self, drive: str) -> bool:
+        """Whether a drive is sent nothing but stops, so that its watchdog acts."""
+        found = self.drives.find(drive)
+        return found is not None and bool(found.health.silenced)
 
     def feed_maker(self, name: str) -> Callable[[], Request]:
         """Give the maker of the cheapest useful read of a drive."""
@@ -408,8 +423,18 @@ class Requests:
         return make
 
 
-def never_sent(outcome: Outcome, reason: str, station: Station, code: Code) -> OperationError:
-    """The error for a request that ended before a telegram was sent."""
+def never_sent(
+    outcome: Outcome, reason: str, station: Station, code: Code, *, silenced: bool = False
+) -> OperationError:
+    """The error for a request that ended before a telegram was sent.
+
+    Args:
+        outcome: How it ended.
+        reason: Why.
+        station: The drive.
+        code: What was asked for.
+        silenced: The drive is sent nothing but stops.
+    """
     text = reason or f"the request {outcome}"
     kind, remedy = "does-not-fit", "a longer watchdog time, a higher baud rate or fewer drives"
     if outcome is Outcome.EXPIRED:
@@ -417,6 +442,8 @@ def never_sent(outcome: Outcome, reason: str, station: Station, code: Code) -> O
     elif reason.startswith(f"{station.name} is offline"):
         kind = "offline"
         remedy = "check the drive's supply, its address and the wires; it is probed all the time"
+        if silenced:
+            remedy = SILENCED_REMEDY
     elif is_line_lost(reason):
         kind, remedy = "line-lost", "the port is being reopened; ask again when the line is open"
     return OperationError(

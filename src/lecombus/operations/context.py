@@ -78,7 +78,7 @@ class OperationContext:
         self.stop_marks = StopMarks(requests, clock)
         self.shown_stops = ShownStops(requests, store, self.leases, self.kinds)
         self.leases.held_stops = self.shown_stops.held
-        self.leases.is_silenced = self.permissions.is_silenced
+        self.leases.is_silenced = requests.is_silenced
         self.lasting: Final = requests.drives.lasting
 
     def set_roster(self, entries: Sequence[DriveEntry], groups: Mapping[str, GroupEntry]) -> None:

@@ -273,5 +273,6 @@ def check_lapse(entry: DriveEntry) -> None:
             f"on_lapse of {entry.name} is {wanted}, and family {entry.family} knows no {wanted}",
             kind="no-stop",
             drive=entry.name,
-            remedy="write `lease: {on_lapse: silence}` for it into the roster, or hold",
+            remedy="write `lease: {on_lapse: hold}` for it into the roster, or silence if its "
+            "watchdog acts",
         )

@@ -24,7 +24,7 @@ from lecombus.errors import CodeValueError, LineClosedError, OperationError
 from lecombus.fieldbus.protocols import find
 from lecombus.fieldbus.requests import Station
 from lecombus.leases import Use
-from lecombus.operations.awaited_requests import Requests
+from lecombus.operations.awaited_requests import SILENCED_REMEDY, Requests
 from lecombus.operations.lease_operations import Leases, needs_lease, use_of
 from lecombus.operations.operation_reports import RestoreRights
 from lecombus.parameters import Code, Value
@@ -157,11 +157,6 @@ class Permissions:
         locked = self._store.drive(drive).write_lock
         return rights_of(self._entry(drive), station.family, locked)
 
-    def is_silenced(self, drive: str) -> bool:
-        """Whether a drive is sent nothing but stops, so that its watchdog acts."""
-        found = self._requests.drives.find(drive)
-        return found is not None and bool(found.health.silenced)
-
     def check_ready(self, drive: str, code: Code | None = None) -> None:
         """Refuse to write to a drive that is away, not audited yet, or locked.
 
@@ -174,11 +169,8 @@ class Permissions:
         is_open = self._store.line().state is LineState.OPEN
         if is_open and state.state in (DriveState.OFFLINE, DriveState.STARTING):
             remedy = "nothing was sent; a drive is written to once it answers and was audited"
-            if self.is_silenced(drive):
-                remedy = (
-                    "nothing was sent; it is spoken to again once a lease is held for it and its "
-                    "watchdog has had its time"
-                )
+            if self._requests.is_silenced(drive):
+                remedy = SILENCED_REMEDY
             raise OperationError(
                 f"{drive} is {state.state.value}: {state.reason}",
                 kind="offline" if state.state is DriveState.OFFLINE else "starting",

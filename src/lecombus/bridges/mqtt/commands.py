@@ -12,8 +12,9 @@ makes it safe over a broker is decided before that:
 - Each command is carried out once. A repetition (the same topic, response topic and correlation
   data) gets the answer of the first, or `unknown` if the bridge was started in between. One with
   another payload is refused, as over HTTP. The keys that the daemon keeps are not enough: it has
-  those of the last 1000 requests of all clients. Without correlation data a command must be sent with QoS 2 or 0: with QoS 1 a sender may send it
-  twice, and the bridge could not distinguish that from two commands.
+  those of the last 1000 requests of all clients. Without correlation data a command must be sent
+  with QoS 2 or 0: with QoS 1 a sender may send it twice, and the bridge could not distinguish that
+  from two commands.
 - These rules do not hold for a stop. It is carried out whenever it comes, unless it is retained: a
   retained stop would come again at each connection. It waits for no other command (`StopLanes`).
 - Commands for one drive are carried out in the order in which they came. Each counts as asked for
