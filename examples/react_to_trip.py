@@ -2,7 +2,7 @@
 
     python examples/react_to_trip.py
 
-This is no safety function: a trip is seen when the drive's status word is read, and this program
+This is not a safety function: a trip is seen when the drive's status word is read, and this program
 may not run.
 """
 

@@ -48,7 +48,7 @@ class Calls:
     [
         pytest.param("20ms", 200, id="a full line: one exchange follows the other"),
         # 292: three more than before, as three functions were split off to be used twice
-        # (`_waited_for_s`, `left_s`, `need_s`); a few more, so that such a split is no failure
+        # (`_waited_for_s`, `left_s`, `need_s`); a few more, so that such a split is not a failure
         pytest.param("1s", 296, id="an idle line: each exchange is waited for"),
     ],
 )

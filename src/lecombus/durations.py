@@ -42,7 +42,7 @@ _MEANT: Final = {
 
 
 class DurationError(ValueError):
-    """A text is no duration.
+    """A text is not a duration.
 
     Args:
         what: What is wrong with it.
@@ -68,7 +68,8 @@ def parse_duration(text: str) -> float:
     if match is None:
         if re.fullmatch(r"[0-9]+,[0-9]+ ?[a-z]*", text):
             raise DurationError("has a decimal comma", f"write {text.replace(',', '.')}")
-        raise DurationError("is no duration", "write a number with ms, s, min or h, such as 500ms")
+        right = "write a number with ms, s, min or h, such as 500ms"
+        raise DurationError("is not a duration", right)
     sign, number, unit = match.groups()
     if sign == "-" and Decimal(number):
         raise DurationError("is negative", f"write {number}{unit or 's'}")

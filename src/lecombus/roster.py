@@ -232,7 +232,7 @@ class GroupEntry(_Model):
 
     @property
     def write_address(self) -> int | None:
-        """Where one telegram may be sent that is no stop; None: one by one."""
+        """Where one telegram may be sent that is not a stop; None: one by one."""
         return self.multicast_address if self.multicast else None
 
 

@@ -84,7 +84,7 @@ async def test_a_counter_that_is_too_large_is_told_with_the_largest(
 
 async def test_a_name_that_is_none_is_named(client: httpx2.AsyncClient) -> None:
     answer = await client.put("/v1/leases/a%20b", json=TAKE)
-    assert (answer.status_code, answer.json()["detail"]) == (422, "'a b' is no name of a lease")
+    assert (answer.status_code, answer.json()["detail"]) == (422, "'a b' is not a name of a lease")
 
 
 @pytest.mark.parametrize(

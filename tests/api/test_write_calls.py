@@ -29,7 +29,7 @@ ROWS_ELSEWHERE = {
     ("DELETE", "/v1/leases/{lease}"): "the same",
     ("POST", "/v1/reload"): "the same: rosters",
 }
-"""Calls that are no operation: what the journal has of them is recorded by other means."""
+"""Calls that are not operation: what the journal has of them is recorded by other means."""
 
 NO_LEASE = {
     *ROWS_ELSEWHERE,

@@ -1,4 +1,4 @@
-"""What two backups differ in, and what is no difference."""
+"""What two backups differ in, and what is not a difference."""
 
 from __future__ import annotations
 

@@ -228,7 +228,7 @@ def test_a_drive_on_hold_is_named_as_such(seen: Seen) -> None:
 
 
 def test_a_drive_that_is_silenced_on_purpose_is_not_lost(seen: Seen) -> None:
-    """As in the alerts of Prometheus: it has a message of its own, and is no silent drive."""
+    """As in the alerts of Prometheus: it has a message of its own, and is not a silent drive."""
     seen.say("lease", what="ended", end="released", lease="plc", drives=["feeder"])
     seen.silence("feeder")
     reason = "sent nothing, so that its watchdog acts"

@@ -273,7 +273,7 @@ def test_periods_are_promised_as_the_schedule_keeps_them_beside_short_watchdogs(
     """Feeds that keep room for lost answers take turns with reads, and half of the line.
 
     Of these lines reads and the feeds that must be take 99 and 90 %; a read every 1 s came every
-    1.8 and 1.6 s, which is no fault of the schedule but was promised otherwise.
+    1.8 and 1.6 s, which is not a fault of the schedule but was promised otherwise.
     """
     roster = random_line(seed, 60.0).roster
     run, now_s, length_s = Run(roster, 0), 0.0, 100.0

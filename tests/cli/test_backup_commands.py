@@ -188,7 +188,7 @@ def test_a_backup_does_not_wait_for_what_a_pipe_says(
     for place in (pipe, tmp_path, Path("/dev/null")):
         ran = run("backup", "feeder", "-o", str(place))
         assert (ran.status, drive.stub.asked) == (2, [])
-        assert f"{place} is no file; name one, or leave -o out" in ran.err
+        assert f"{place} is not a file; name one, or leave -o out" in ran.err
 
 
 def test_a_drive_that_is_not_there_is_said_before_anything_is_read(run: Run, drive: Drive) -> None:

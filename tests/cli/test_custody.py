@@ -131,7 +131,7 @@ def test_an_address_that_no_drive_can_have_is_refused_before_anybody_is_asked(
 ) -> None:
     ran = run("readdress", "feeder", "20")
     assert (ran.status, movable.asked) == (2, [])
-    assert "20 is no drive's address; 1 to 99 without 10, 20 .. 90 would be right" in ran.err
+    assert "20 is not a drive's address; 1 to 99 without 10, 20 .. 90 would be right" in ran.err
 
 
 def test_readdress_says_how_it_ended_and_what_to_do(run: Run, movable: DaemonStub) -> None:

@@ -287,9 +287,9 @@ def test_check_warns_of_tokens_that_would_not_be_used(run: Run, roster: Path) ->
         ("j.sqlite", ""),
         ("folder", "this is a directory"),
         ("gone/j.sqlite", "there is no directory"),
-        ("file/j.sqlite", "file is no directory"),
+        ("file/j.sqlite", "file is not a directory"),
         ("/var/lib/lecombus/j.sqlite", ""),
-        ("/dev/null", "this is no regular file"),
+        ("/dev/null", "this is not a regular file"),
     ],
 )
 def test_check_warns_of_a_journal_that_cannot_be(
@@ -306,7 +306,7 @@ def test_check_warns_of_a_journal_that_cannot_be(
     [
         ("a.sock", ""),
         ("gone/a.sock", "there is no directory"),
-        ("file/a.sock", "file is no directory"),
+        ("file/a.sock", "file is not a directory"),
         ("file", "something else has its place"),
         ("/run/lecombus/hall-3.sock", ""),
         ("a.sock, socket_group: nosuchgroup", "there is no group nosuchgroup"),

@@ -263,7 +263,7 @@ def test_a_file_of_names_that_is_no_text_is_refused(
     file.write_bytes(b"hall-1\n\xff\n")
     words = ["fleet", "--once", "--broker", "mqtt://127.0.0.1:1", "--expect", str(file)]
     assert main(words) == Exit.USAGE
-    assert f"{file} is no text in UTF-8" in capsys.readouterr().err
+    assert f"{file} is not text in UTF-8" in capsys.readouterr().err
 
 
 # ---- how stops are shown ------------------------------------------------------------------------

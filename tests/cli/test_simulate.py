@@ -123,7 +123,7 @@ def test_it_ends_cleanly_and_leaves_no_link(
         (["--tcp", "0", "--faults", "gremlins=1"], "gremlins"),
         (["--tcp", "0", "--faults", "absent=11+99"], "has the address 99; absent takes"),
         (["--tcp", "0", "--pty", "/tmp/x"], "--pty and --tcp are both given; leave one"),
-        (["--pty", "/etc/passwd"], "is no link"),
+        (["--pty", "/etc/passwd"], "is not a link"),
     ],
 )
 def test_what_cannot_be_served_is_said(run: Run, roster: Path, words: list[str], said: str) -> None:

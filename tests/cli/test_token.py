@@ -88,7 +88,7 @@ def test_a_token_is_revoked_in_the_file_that_a_link_leads_to(
     [
         (("plc",), "Missing option '--scope'"),
         (("plc", "--scope", "admin"), "'admin' is not one of"),
-        (("a b", "--scope", "read"), "`a b` is no name"),
+        (("a b", "--scope", "read"), "`a b` is not a name"),
         (("-x", "--scope", "read"), "No such option"),
         (("plc", "--scope", "read", "--expires", "soon"), "90d or 12h"),
         (("plc", "--scope", "read", "--expires", "2020-01-01"), "in the past"),

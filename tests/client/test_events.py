@@ -101,7 +101,7 @@ def test_an_id_without_an_event_says_where_the_stream_is() -> None:
 
 @pytest.mark.parametrize("data", [b"data: {\n\n", b"x" * (2 << 20)])
 def test_what_is_no_event_is_an_error(data: bytes) -> None:
-    with pytest.raises(UnreachableError, match="are no events"):
+    with pytest.raises(UnreachableError, match="are not events"):
         list(FrameReader().feed(data))
 
 
@@ -155,7 +155,7 @@ def test_a_refusal_is_an_error_also_after_events(status: int) -> None:
 
 @pytest.mark.parametrize("status", [502, 503, 504])
 def test_a_proxy_that_cannot_reach_the_daemon_is_waited_for(status: int) -> None:
-    """What a proxy says is no problem document."""
+    """What a proxy says is not a problem document."""
     away = httpx2.Response(status, text="<html>Bad Gateway</html>")
     served = Served(streamed(frame(1)), away, streamed(frame(2)))
     assert [event.data["n"] for event in read(served, count=2)] == [1, 2]

@@ -30,7 +30,7 @@ CYCLIC = "cyclic: [{code: C0150, every: 200ms}, {code: C0050, every: 500ms}]"
 
 
 def example(name: str) -> Any:
-    """Load an example, which is no part of any package."""
+    """Load an example, which is not a part of any package."""
     spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None

@@ -55,7 +55,7 @@ async def test_a_number_is_never_taken_from_an_old_or_missing_value(line: Line) 
     with pytest.raises(ClientError, match="stale: not read in time"):
         _ = old.number
     assert Reading.of({"value": 5, "quality": "fresher"}).quality is Quality.BAD
-    with pytest.raises(ClientError, match="is no number but `abc`"):
+    with pytest.raises(ClientError, match="is not a number but `abc`"):
         _ = Reading.of({"value": "abc", "quality": "good"}).number
 
 
@@ -192,7 +192,7 @@ def test_a_name_that_would_mean_another_path_is_refused(name: str) -> None:
 
 @pytest.mark.parametrize("code", ["C0046/../x", "0x2E", "C 46", "", "C0039/", "Ä46", "-1"])
 def test_what_is_no_code_is_refused(code: str) -> None:
-    with pytest.raises(ValueError, match="is no code"):
+    with pytest.raises(ValueError, match="is not a code"):
         code_text(code)
 
 
@@ -200,7 +200,7 @@ def test_what_is_no_code_is_refused(code: str) -> None:
     float("nan"), float("inf"), Decimal("sNaN"), True, None, "", [1], {}, b"1",
 ])  # fmt: skip
 def test_what_is_no_value_is_refused(value: Any) -> None:
-    with pytest.raises(ValueError, match="is no value"):
+    with pytest.raises(ValueError, match="is not a value"):
         exact(value)
 
 

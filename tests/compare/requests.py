@@ -169,7 +169,7 @@ def heads() -> Iterator[Request]:
 
 
 def bytes_that_are_no_request() -> Iterator[Request]:
-    """Send what is no request, or several at a time."""
+    """Send what is not a request, or several at a time."""
     one = get("/v1/groups").data
     raw = {
         "two pipelined": one + one,

@@ -1,4 +1,4 @@
-"""Secrets of rosters and documents: none is left, and what is no secret stays."""
+"""Secrets of rosters and documents: none is left, and what is not a secret stays."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_any_text_is_masked_or_left_out(text: str) -> None:
 
 def test_what_was_masked_is_masked_everywhere_and_short_ones_are_not() -> None:
     masker = Masker({SECRET, "a"})
-    assert masker.text(f"`{SECRET}` is no port, a") == f"`{MASK}` is no port, a"
+    assert masker.text(f"`{SECRET}` is not a port, a") == f"`{MASK}` is not a port, a"
 
 
 @pytest.mark.parametrize("text", [

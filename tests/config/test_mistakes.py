@@ -502,7 +502,7 @@ def test_behind_an_unknown_family_what_one_family_can_do_passes() -> None:
     told = only(drive_with("watchdog: {time: 20ms, action: trip}", family="8200vektor"))
     assert told.startswith("7:13: `family`")
     _, second = said(drive_with("watchdog: {time: 0.0205s, action: trip}", family="8200vektor"))
-    assert "is no whole number of milliseconds" in second
+    assert "is not a whole number of milliseconds" in second
 
 
 @pytest.mark.parametrize(("key", "article"), [("api", "an"), ("mqtt", "an"), ("lease", "a")])

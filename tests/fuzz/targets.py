@@ -293,7 +293,7 @@ def check_values(data: bytes) -> None:
     except CodeValueError:
         pass
     else:
-        _must(Value.parse(value.raw) == value, "what would be sent is no value")
+        _must(Value.parse(value.raw) == value, "what would be sent is not a value")
         _must(Decimal(text) == value.number, "another number would be sent")
 
 
@@ -518,7 +518,7 @@ def check_mqtt(data: bytes) -> None:
     try:
         if command.what == "set":
             code = mqtt_commands.code_of(command.name)
-            with contextlib.suppress(CodeValueError):  # what is no code the daemon refuses
+            with contextlib.suppress(CodeValueError):  # what is not a code the daemon refuses
                 meant = Code.parse(code)
                 _must(Code.parse(command.name) == meant, "another code is written")
         body = body_of(command, payload)

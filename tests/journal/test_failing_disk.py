@@ -110,7 +110,7 @@ def test_a_journal_whose_place_is_taken_comes_back_by_itself(tmp_path: Path) -> 
     file.mkdir()
     with daemon(tmp_path):
         wait_for(lambda: is_online(socket))
-        assert "is no regular file" in remark(socket)
+        assert "is not a regular file" in remark(socket)
         assert write(socket, 20)[0] == 503
         stop_of(socket)
         file.rmdir()

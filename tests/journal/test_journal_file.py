@@ -1,4 +1,4 @@
-"""What is added to a journal stays, what is changed is found, and what is no journal stays."""
+"""What is added to a journal stays, what is changed is found, and what is not a journal stays."""
 
 from __future__ import annotations
 

@@ -194,8 +194,8 @@ class GroupDocument(Document):
     writes: Annotated[
         str,
         Field(
-            description="How a write that is no stop is sent: multicast only where the roster says "
-            "`multicast: yes`, else one-by-one"
+            description="How a write that is not a stop is sent: multicast only where the roster "
+            "says `multicast: yes`, else one-by-one"
         ),
     ]
 
@@ -219,7 +219,7 @@ class HeardDocument(Document):
     value: Scalar
     raw: str | None
     format: str | None
-    received: Annotated[str | None, Field(description="What was no usable answer, as hex")]
+    received: Annotated[str | None, Field(description="What was not a usable answer, as hex")]
     disturbances: Annotated[
         int, Field(description="How often the line carried something that was no answer")
     ]

@@ -292,7 +292,7 @@ def test_what_is_no_mark_of_stops_of_the_drive_is_refused(which: str) -> None:
             "cut": mark[:-1],
             "newline": f"{mark}\n",
         }
-        with pytest.raises(OperationError, match="is no mark of a: nothing was sent") as caught:
+        with pytest.raises(OperationError, match="is not a mark of a: nothing was sent") as caught:
             await plant.site.operations.write("a", Code(12), 9, unless_stopped_since=wrong[which])
         assert caught.value.kind == "bad-request"
         assert "`GET /v1/drives/a/restore`" in caught.value.remedy

@@ -200,7 +200,7 @@ CASES = (
         not_yet=("40s", "100s", "400s"),
         quiet=(
             ({MARGIN: "0.25x60", **TIME}, ("200s",)),
-            # A short time is no low margin.
+            # A short time is not a low margin.
             ({MARGIN: "0.09x60", TIME_SET: "0.3x60"}, ("200s",)),
         ),
         shown="150ms",

@@ -10,7 +10,7 @@ clock: nothing is asked of the daemon's own leases. Then:
 * After a lapse its stop begins within the wait that the plan promises for stops; stops of other
   drives add their line time, and a daemon that does not run the time for which it does not.
 * It is carried out once: further stops only if the last was not proven or the drive was away.
-  A drive under a lease, or whose policy is no stop, is not stopped by the daemon.
+  A drive under a lease, or whose policy is not a stop, is not stopped by the daemon.
 * `silence`: no telegram but those of stops that clients ask for, until a lease is held and the
   watchdog's time has passed since the last one. By then the watchdog has acted.
 * A drive that needs a lease and has none does not go on running.
@@ -425,7 +425,7 @@ class LeaseChecks:
         if why:
             self._say(f"{what}: {why}")
         elif one.latched and moving and not asked.enabling:
-            self.counts.set_while_latched += 1  # it is no excuse for a drive that moves
+            self.counts.set_while_latched += 1  # it is not an excuse for a drive that moves
         else:
             one.moved_s = telegram.said_s
 

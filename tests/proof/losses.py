@@ -33,7 +33,7 @@ MOST_TOLERATED = 3
 NEAR = 1.2
 """An exchange that leaves the watchdogs no more than this part of the least seen is hit."""
 LAST_PART = 0.1
-"""Of a watchdog time: an exchange that only this part of it holds is no exception."""
+"""Of a watchdog time: an exchange that only this part of it holds is not an exception."""
 LONGER, LONGEST = 1.6, 4.0
 """Times the least watchdog time: then there is room for a write to an 820X, or for a module's own
 codes, which take half a second."""

@@ -51,7 +51,7 @@ class Pauses:
         self._sole = line.is_told_apart and "stubborn" not in line.faults
         # Whether a module acknowledges early is read; a copy of another's answer may say no.
         self._known_busy = line.is_told_apart
-        stray = MOST_STRAY if line.faults else 0  # what noise appends is no part of an answer
+        stray = MOST_STRAY if line.faults else 0  # what noise appends is not a part of an answer
         self._turnaround_s = line.roster.line.turnaround_s - stray * CHARACTER_BITS / sim.host_baud
         # An EOT has no checksum: one that noise made within an answer ends it for the host.
         self._made_ends = "noise" in line.faults

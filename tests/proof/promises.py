@@ -155,8 +155,8 @@ class Promises:
             # On a quiet line only status words after a command go before background.
             if name in ("cyclic", "background") and report.waited_s > promised_s:
                 promised_s += self._asked_s(report.result.started_s - report.waited_s)
-            # What a proof waits is no wait of the request; nor is a stop of the drive that is under
-            # way, behind which its status words are read.
+            # What a proof waits is not a wait of the request; nor is a stop of the drive that is
+            # under way, behind which its status words are read.
             behind_stop = self._stopped.get(report.drive, -math.inf) > (
                 report.result.started_s - report.waited_s
             )

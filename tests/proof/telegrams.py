@@ -81,7 +81,7 @@ class Telegrams:
     def said(self, data: bytes, now_s: float) -> Telegram:
         """Take a telegram that is handed to the port."""
         heard = self._listener.whole(data)
-        assert heard is not None, f"{data!r} is no telegram"
+        assert heard is not None, f"{data!r} is not a telegram"
         number, subcode, _ = read_code_field(heard.field) or (-1, 0, False)
         end_s = now_s + len(data) * CHARACTER_BITS / self._sim.host_baud
         self._last = Telegram(now_s, end_s, heard.address, (number, subcode), heard.text)

@@ -2,8 +2,8 @@
 
 Seen from the clients' side: a class waits from when a client has asked for something in it, or from
 the end of the last exchange of that class, until the next one begins. A cyclic slot waits from when
-it is due; one that is run early, to feed a drive, is no turn of the others. Stops come on top. And
-no request is left behind many later ones of its class.
+it is due; one that is run early, to feed a drive, is not a turn of the others. Stops come on top.
+And no request is left behind many later ones of its class.
 
 Judged on lines whose drives all answer, whatever load is on them.
 """

@@ -21,7 +21,7 @@ from lecombus.fieldbus.lecom.protocol.addressing import multicast_address
         ([1], [1, 2], None),
         ([], [1, 2], None),
         ([], [], None),
-        ([11, 12], [11], None),  # a member that is no drive of the roster
+        ([11, 12], [11], None),  # a member that is not a drive of the roster
     ],
 )
 def test_the_address_reaches_exactly_the_members(

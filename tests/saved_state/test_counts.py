@@ -95,7 +95,7 @@ def test_lines_that_are_none_are_passed_over(tmp_path: Path, junk: str) -> None:
     assert state.drive("feeder").writes == {"C0012": 7, "C0013": 1}
 
 
-# -- what is no regular file -----------------------------------------------------------------------
+# -- what is not a regular file -------------------------------------------------------------------
 
 
 def make_device(path: Path) -> None:

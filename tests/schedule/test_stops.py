@@ -175,7 +175,7 @@ def test_a_drive_is_spoken_to_while_its_stop_waits_and_while_it_is_under_way() -
     assert during == [True]
     assert not world.schedule.is_speaking_to("a")
     world.submit("b", P.CONTROL)
-    assert not world.schedule.is_speaking_to("b"), "what is no stop may wait until it expires"
+    assert not world.schedule.is_speaking_to("b"), "what is not a stop may wait until it expires"
 
 
 def test_the_members_of_a_group_are_spoken_to_while_its_stop_waits_or_is_under_way() -> None:

@@ -58,7 +58,7 @@ def test_what_a_drive_says_first_is_recorded_and_shown() -> None:
         assert state.changes == 1
         assert lock(plant) == ""
         await leave_and_return(plant)
-        assert state.changes == 1, "the same again is no news"
+        assert state.changes == 1, "the same again is not a news"
         assert await write(plant) is Outcome.VERIFIED
 
     with_plant(test, ROSTER, state=state)
@@ -118,7 +118,7 @@ def test_a_drive_that_any_read_shows_to_be_another_is_audited_anew() -> None:
         await plant.online()
         assert "C1810 reads 33S2102I_20000, not 33S2102I_10000" in lock(plant)
         await plant.site.operations.read("a", Code(1810))
-        assert plant.state("a") is DriveState.ONLINE, "what is known already is no news"
+        assert plant.state("a") is DriveState.ONLINE, "what is known already is not a news"
 
     with_plant(test, ROSTER)
 

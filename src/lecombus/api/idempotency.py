@@ -324,7 +324,7 @@ def keys_of(request: Request) -> list[str]:
 
 
 def asked_ago_s(request: Request) -> float:
-    """Return how long ago a repeat was asked for first, seconds; 0: it is no repeat.
+    """Return how long ago a repeat was asked for first, seconds; 0: it is not a repeat.
 
     Raises:
         ProblemError: The header is wrong, or stands without a key.

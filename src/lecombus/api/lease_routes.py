@@ -128,7 +128,7 @@ def lease_name(request: Request) -> str:
     """
     name: str = request.path_params["lease"]
     if NAME.fullmatch(name) is None:
-        raise refused(f"{short(name)!r} is no name of a lease", NAME_REMEDY)
+        raise refused(f"{short(name)!r} is not a name of a lease", NAME_REMEDY)
     return name
 
 

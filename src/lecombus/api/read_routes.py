@@ -234,7 +234,9 @@ def number_of(address: str) -> int:
     """
     if not (address.isascii() and address.isdecimal() and len(address) <= 2):
         raise RefusedRequestError(
-            ProblemDocument("no-such-address", f"{address!r} is no address", remedy="it is 1 to 99")
+            ProblemDocument(
+                "no-such-address", f"{address!r} is not an address", remedy="it is 1 to 99"
+            )
         )
     return int(address)
 

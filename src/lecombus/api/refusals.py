@@ -69,7 +69,7 @@ class AskedWrite:
 
 
 class Refusals:
-    """Carries out requests that are no stops, and counts those that are refused.
+    """Carries out requests that are not stops, and counts those that are refused.
 
     Args:
         clock: Monotonic time, seconds.
@@ -114,7 +114,7 @@ class Refusals:
         return await self._noted(window, act, MANY if limited else None, write.target)
 
     async def verb(self, drive: str, verb: Verb, act: Act[Answer]) -> Answer:
-        """Carry out a verb that is no stop.
+        """Carry out a verb that is not a stop.
 
         Raises:
             OperationError: It is refused.

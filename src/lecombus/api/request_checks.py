@@ -29,7 +29,7 @@ STOP_KEYS: Final = tuple(StopBody.model_fields)
 MISTAKES_LIMIT: Final = 10
 
 WORD_LIMIT: Final = 40
-"""A longer word is no spelling mistake, and comparing takes its length squared."""
+"""A longer word is not a spelling mistake, and comparing takes its length squared."""
 
 SHOWN_CHARS: Final = 40
 """The most that a message repeats of a wrong value."""

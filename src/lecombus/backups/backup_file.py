@@ -140,7 +140,7 @@ def section_of(family: Family, code: Code) -> Section:
     if info.format is Format.VS and not info.writable:
         return Section.IDENTITY  # what a drive says of itself in words never changes by itself
     kept = {Storage.STORED: Section.PARAMETERS, Storage.MODULE: Section.MODULE}
-    # A number that is kept and cannot be set, such as the hours run, is no setting either.
+    # A number that is kept and cannot be set, such as the hours run, is not a setting either.
     return kept.get(info.storage, Section.PROCESS) if info.writable else Section.PROCESS
 
 
@@ -317,12 +317,12 @@ def read_backup(text: str, file: str) -> Backup:
         file: Its name, for errors.
 
     Raises:
-        ConfigError: It is no backup, or something in it cannot be.
+        ConfigError: It is not a backup, or something in it cannot be.
     """
     document = YamlFile(text, file, untrusted=True)
     if FORMAT_KEY not in document.data:
         raise document.error(
-            f"this is no backup: it does not begin with {FORMAT_KEY}: {FORMAT_VERSION}"
+            f"this is not a backup: it does not begin with {FORMAT_KEY}: {FORMAT_VERSION}"
         )
     version = document.data[FORMAT_KEY]
     # Checked first: a later format may have keys that are not known here, or lack some.

@@ -35,7 +35,7 @@ MOST_PIECES: Final = 2000
 OVERLOADED_PERIODS: Final = 50
 """Of the slowest stream: within these an overload of two in a hundred shows."""
 LONGEST_S: Final = 86_400.0
-"""A wait of a day is no useful bound."""
+"""A wait of a day is not a useful bound."""
 
 
 @dataclass(frozen=True, slots=True)

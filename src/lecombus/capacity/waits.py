@@ -162,7 +162,7 @@ def _interactive(ahead: WorkAhead) -> ClassWait:
 
 
 def _watchdog(roster: Roster) -> ClassWait:
-    """A feed is no request that waits: its promise is that it is over in time."""
+    """A feed is not a request that waits: its promise is that it is over in time."""
     times = [time_s for drive in roster.drives if (time_s := watched_s(drive))]
     if not times:
         return ClassWait("watchdog", math.inf, math.inf, 0.0, "no watchdog is fed")

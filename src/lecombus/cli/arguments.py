@@ -147,8 +147,9 @@ class Whole(click.IntRange):
         try:
             return int(super().convert(value, param, ctx))
         except click.BadParameter:
-            most = "or more" if self.max is None else f"to {self.max}"
-            self.fail(f"{value} is no whole number of {self.min} {most}", param, ctx)
+            least = f"of {self.min} or more"
+            wanted = least if self.max is None else f"from {self.min} to {self.max}"
+            self.fail(f"{value} is not a whole number {wanted}", param, ctx)
 
 
 def _code(word: str) -> Code:
@@ -171,7 +172,7 @@ def _codes(word: str) -> tuple[Code, ...]:
         codes = [Code(n, begin.subcode) for n in range(begin.number, end.number + 1)]
     if not codes or len(codes) > MOST_CODES or (begin.subcode != end.subcode and not of_subcodes):
         right = f"a code, or up to {MOST_CODES} of them such as C0010-C0050 or C0039/1-15"
-        raise click.BadParameter(f"{word} is no range of codes: {right}")
+        raise click.BadParameter(f"{word} is not a range of codes: {right}")
     return tuple(codes)
 
 
@@ -188,7 +189,7 @@ def _value(word: str) -> str:
         raise click.BadParameter(f"{word} has an exponent, {_written_out(word)}")
     if not _WORD_OR_OCTETS.fullmatch(word):
         raise click.BadParameter(
-            f"`{word}` is no value, write a number such as 35.4, a word such as H0008, "
+            f"`{word}` is not a value, write a number such as 35.4, a word such as H0008, "
             "or octets such as O1A2B"
         )
     return word if word[:1] == "0" else word.upper()
@@ -199,7 +200,7 @@ def _number(word: str) -> Decimal:
     try:
         return Decimal(text)
     except InvalidOperation:
-        raise click.BadParameter(f"`{text}` is no number, write one such as 35.4") from None
+        raise click.BadParameter(f"`{text}` is not a number, write one such as 35.4") from None
 
 
 def _written_out(word: str) -> str:

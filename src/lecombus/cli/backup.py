@@ -1,8 +1,8 @@
 """`lecombus backup`: the parameters of a drive, or of every drive of a line, as files.
 
 A backup is written beside its place and then takes it, so that there is always a whole one; a file
-that is no backup is never replaced. How far a restore came is kept per line and drive in the user's
-state folder (XDG_STATE_HOME), and locked while a restore is under way.
+that is not a backup is never replaced. How far a restore came is kept per line and drive in the
+user's state folder (XDG_STATE_HOME), and locked while a restore is under way.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def read_text(path: Path) -> str:
         return content.decode("utf-8")
     except UnicodeDecodeError as exc:
         remedy = "name the file that backup wrote"
-        raise CommandError(Exit.USAGE, f"{path} is no text in UTF-8", remedy) from exc
+        raise CommandError(Exit.USAGE, f"{path} is not text in UTF-8", remedy) from exc
 
 
 def load_backup(path: Path) -> Backup:
@@ -92,7 +92,7 @@ def load_backup(path: Path) -> Backup:
 
     Raises:
         ConfigError: Something in it cannot be.
-        CommandError: It is no text.
+        CommandError: It is not text.
         OSError: It cannot be read.
     """
     return read_backup(read_text(path), str(path))
@@ -114,7 +114,7 @@ def check_target(path: Path) -> None:
     if not path.exists():
         return
     if not path.is_file():  # reading a pipe would wait without end
-        raise CommandError(Exit.USAGE, f"{path} is no file", "name one, or leave -o out")
+        raise CommandError(Exit.USAGE, f"{path} is not a file", "name one, or leave -o out")
     try:
         load_backup(path)
     except (ConfigError, CommandError) as exc:

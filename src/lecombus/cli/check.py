@@ -75,7 +75,7 @@ def check_command(roster: Path, as_json: bool) -> int:
 def file_warnings(roster: Roster) -> Iterator[str]:
     """Warn of files that the daemon could not use if it were this user on this machine.
 
-    They are no mistakes: the roster may be for another machine, and what this user may not read
+    They are not mistakes: the roster may be for another machine, and what this user may not read
     the daemon's may.
     """
     api, journal, state = roster.api, roster.journal, roster.state
@@ -105,7 +105,7 @@ def socket_mistake(api: ApiEntry) -> str:
     if folder is None and path.parent != RUNTIME_DIR:  # that one is made when the service starts
         return f"there is no directory {path.parent}"
     if folder is not None and not stat.S_ISDIR(folder.st_mode):
-        return f"{path.parent} is no directory"
+        return f"{path.parent} is not a directory"
     if api.socket_group is not None:
         try:
             grp.getgrnam(api.socket_group)
@@ -140,11 +140,12 @@ def kept_mistake(path: Path) -> str:
     """Say why there can be no such file; empty: nothing that can be seen here."""
     found, folder = stat_of(path), stat_of(path.parent)
     if found is not None and not stat.S_ISREG(found.st_mode):
-        return "this is a directory" if stat.S_ISDIR(found.st_mode) else "this is no regular file"
+        is_directory = stat.S_ISDIR(found.st_mode)
+        return "this is a directory" if is_directory else "this is not a regular file"
     if folder is None and path.parent != STATE_DIR:  # that one is made when the service starts
         return f"there is no directory {path.parent}"
     if folder is not None and not stat.S_ISDIR(folder.st_mode):
-        return f"{path.parent} is no directory"
+        return f"{path.parent} is not a directory"
     return ""
 
 

@@ -117,7 +117,7 @@ def readdress_command(drive: str, address: int, yes: bool, daemon: DaemonOptions
     says what is known.
     """
     if address % 10 == 0:
-        what = f"{address} is no drive's address"
+        what = f"{address} is not a drive's address"
         raise CommandError(Exit.USAGE, what, "1 to 99 without 10, 20 .. 90 would be right")
     path = drive_path(drive)
     if not yes:

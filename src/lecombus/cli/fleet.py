@@ -96,13 +96,13 @@ def names_in(file: Path) -> frozenset[str]:
     """Return the names of lines in a file, one a line; what follows a `#` is left out.
 
     Raises:
-        CommandError: It is no text.
+        CommandError: It is not text.
     """
     try:
         text = file.read_text(encoding="utf-8")
     except UnicodeDecodeError as exc:
         remedy = "name a file with a line's name in each line"
-        raise CommandError(Exit.USAGE, f"{file} is no text in UTF-8", remedy) from exc
+        raise CommandError(Exit.USAGE, f"{file} is not text in UTF-8", remedy) from exc
     rows = (row.partition("#")[0].strip() for row in text.splitlines())
     return frozenset(filter(None, rows))
 

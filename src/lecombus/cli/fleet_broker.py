@@ -125,7 +125,9 @@ def broker_of(given: Mapping[str, Any]) -> BrokerOptions:
     for one in prefixes:
         if not one.strip("/") or set(one) & set("+#\0") or one != one.strip("/"):
             raise CommandError(
-                Exit.USAGE, f"--topics {one!r} is no beginning of topics", "such as plant/lecombus"
+                Exit.USAGE,
+                f"--topics {one!r} is not the beginning of a topic",
+                "such as plant/lecombus",
             )
     return BrokerOptions(entry, prefixes)
 
@@ -141,9 +143,9 @@ def address_of(url: str) -> dict[str, Any]:
         found = urlsplit(url)
         port = found.port
     except ValueError as exc:
-        raise CommandError(Exit.USAGE, f"`{url}` is no broker's URL: {exc}", right) from exc
+        raise CommandError(Exit.USAGE, f"`{url}` is not a broker's URL: {exc}", right) from exc
     if found.scheme not in PORTS or not found.hostname or found.path.strip("/") or found.query:
-        raise CommandError(Exit.USAGE, f"`{url}` is no broker's URL", right)
+        raise CommandError(Exit.USAGE, f"`{url}` is not a broker's URL", right)
     if found.password is not None:
         raise CommandError(
             Exit.USAGE, "a password in the URL can be read by every user of this computer",

@@ -129,7 +129,7 @@ def check_target(target: str) -> None:
     """
     if not target.strip() or set(target) & set("/+#\0"):
         raise CommandError(
-            Exit.USAGE, "TARGET is no name of a drive or a group; no line was asked to stop",
+            Exit.USAGE, "TARGET is not a name of a drive or a group; no line was asked to stop",
             "name one, or all",
         )  # fmt: skip
 

@@ -153,7 +153,7 @@ def _rows(
 def _say_if_unknown(daemon: DaemonOptions, drive: str) -> None:
     """Say that the roster has no drive and no group of a name of which there are no rows.
 
-    A name that was in the roster before is right all the same, so this is no error.
+    A name that was in the roster before is right all the same, so this is not an error.
     """
     try:
         groups = ask(daemon, "/v1/groups").data["groups"]

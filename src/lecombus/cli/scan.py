@@ -76,7 +76,7 @@ def _addresses(ctx: click.Context, param: click.Parameter, text: str) -> tuple[i
     for part in text.split(","):
         first, dash, last = part.strip().partition("-")
         if not first.isdecimal() or (dash and not last.isdecimal()):
-            raise click.BadParameter(f"`{part}` is no address: write 11, 1-39 or 1-9,11-19")
+            raise click.BadParameter(f"`{part}` is not an address: write 11, 1-39 or 1-9,11-19")
         for number in range(int(first), int(last or first) + 1):
             if number > 99:
                 break
@@ -289,7 +289,8 @@ def _check_output(options: ScanOptions) -> None:
         problem = f"{options.output} exists"
         raise CommandError(Exit.USAGE, problem, "name another file, or overwrite it with --force")
     if not options.output.parent.is_dir():
-        raise CommandError(Exit.USAGE, f"{options.output.parent} is no directory", "make it first")
+        problem = f"{options.output.parent} is not a directory"
+        raise CommandError(Exit.USAGE, problem, "make it first")
     if not os.access(options.output.parent, os.W_OK):
         raise CommandError(
             Exit.FORBIDDEN, f"{options.output.parent} may not be written to", "name another"

@@ -67,7 +67,7 @@ def forget_terminal() -> None:
         try:
             termios.tcgetattr(descriptor)
         except termios.error as exc:
-            if exc.args[0] != errno.EIO:  # it is no terminal
+            if exc.args[0] != errno.EIO:  # it is not a terminal
                 continue
             nowhere = os.open(os.devnull, os.O_WRONLY)
             os.dup2(nowhere, descriptor)

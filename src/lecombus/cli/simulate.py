@@ -167,7 +167,8 @@ def _free_link(path: Path) -> Path:
         remedy = "end that one first, or name another path; if it is neither, remove the link"
         raise CommandError(Exit.USAGE, problem, remedy)
     if path.exists() and not path.is_symlink():
-        raise CommandError(Exit.USAGE, f"{path} exists and is no link", "name a path that is free")
+        problem = f"{path} exists and is not a link"
+        raise CommandError(Exit.USAGE, problem, "name a path that is free")
     return path
 
 

@@ -140,7 +140,7 @@ def new_command(
     path = _path(file, roster, targets)
     if re.fullmatch(NAME, name, re.ASCII) is None:
         raise CommandError(
-            Exit.USAGE, f"`{name}` is no name", "write 1 to 40 letters, digits or any of . _ - @"
+            Exit.USAGE, f"`{name}` is not a name", "write 1 to 40 letters, digits or any of . _ - @"
         )
     if targets and ALL_DRIVES not in targets and set(scopes) == {Scope.METRICS}:
         problem = "the metrics page shows all drives, so a token for it alone is for all of them"

@@ -168,7 +168,8 @@ def set_speed_command(
     """
     match = _SPEED.fullmatch(" ".join(speed))
     if match is None:
-        raise click.UsageError(f"`{' '.join(speed)}` is no speed, write it like 35 Hz or 70%", ctx)
+        text = f"`{' '.join(speed)}` is not a speed, write it like 35 Hz or 70%"
+        raise click.UsageError(text, ctx)
     value = NUMBER.convert(match[1], None, ctx)
     if not match[2]:
         raise click.UsageError(f"{match[1]} has no unit, write {match[1]} Hz or {match[1]}%", ctx)

@@ -15,7 +15,7 @@ def write_whole(path: Path, text: str, *, may_replace: bool, mode: int | None = 
     """Put a text into a file; one that is replaced keeps its mode and, if permitted, its owner.
 
     Args:
-        path: The file; what is no regular file, such as /dev/stdout, is written to as it is.
+        path: The file; what is not a regular file, such as /dev/stdout, is written to as it is.
         text: All of it.
         may_replace: A file that is there may be replaced.
         mode: The mode of the file whether it is new or not; None for that of the old one.

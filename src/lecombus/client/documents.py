@@ -124,13 +124,13 @@ class Reading:
         """The value for calculations: never an old one.
 
         Raises:
-            ClientError: Its quality is not good, or it is no number.
+            ClientError: Its quality is not good, or it is not a number.
         """
         if not self.is_good:
             problem = f"{self.drive} {self.code} is {self.quality}: {self.reason}"
             raise ClientError(problem, kind=str(self.quality), drive=self.drive, code=self.code)
         if not isinstance(self.value, int | Decimal):
-            problem = f"{self.drive} {self.code} is no number but `{self.value}`"
+            problem = f"{self.drive} {self.code} is not a number but `{self.value}`"
             raise ClientError(problem, drive=self.drive, code=self.code)
         return Decimal(self.value)
 

@@ -60,7 +60,7 @@ class Drive:
         Raises:
             ProblemError: It gave no value: `no-answer`, `offline`, `no-such-code`, `line-lost` ..
             UnreachableError: The daemon cannot be reached.
-            ValueError: This is no code.
+            ValueError: This is not a code.
         """
         answer = await self.line.ask(f"{self.path}/codes/{code_text(code)}", fresh="true")
         return Reading.of(answer.data, answer)
@@ -74,7 +74,7 @@ class Drive:
         Raises:
             ProblemError: There is no such drive.
             UnreachableError: The daemon cannot be reached.
-            ValueError: This is no code.
+            ValueError: This is not a code.
         """
         answer = await self.line.ask(f"{self.path}/codes/{code_text(code)}")
         return Reading.of(answer.data, answer)
@@ -101,7 +101,7 @@ class Drive:
         Raises:
             ProblemError: The request is wrong: no such drive or code, a value out of range ..
             UnreachableError: The daemon cannot be reached: nothing was sent.
-            ValueError: This is no code, no value or no duration.
+            ValueError: The code, value or duration is wrong.
         """
         document = write_document(value, verify, expires_s)
         path = f"{self.path}/codes/{code_text(code)}"
@@ -238,7 +238,7 @@ class Group:
         Raises:
             ProblemError: There is no such group, or the value cannot be sent.
             UnreachableError: The daemon cannot be reached: nothing was sent.
-            ValueError: This is no code, no value or no duration.
+            ValueError: The code, value or duration is wrong.
         """
         document = write_document(value, verify, expires_s)
         path = f"{self.path}/codes/{code_text(code)}"

@@ -1,6 +1,6 @@
 """What the client library raises: transport, refused questions, and mistakes of the caller.
 
-A write that the daemon or the drive refuses is no error: it is a result with an outcome
+A write that the daemon or the drive refuses is not an error: it is a result with an outcome
 (`results`). `NotDoneError` is raised only where a program asks for it with `check`.
 """
 

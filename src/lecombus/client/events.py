@@ -88,11 +88,11 @@ class FrameReader:
         """Take bytes, and give the events that are complete with them.
 
         Raises:
-            UnreachableError: They are no events.
+            UnreachableError: They are not events.
         """
         *lines, self._rest = (self._rest + data).split(b"\n")
         if len(self._rest) > BYTES_LIMIT:
-            raise UnreachableError("what the daemon sends are no events", "look at the URL")
+            raise UnreachableError("what the daemon sends are not events", "look at the URL")
         for line in lines:
             event = self._take(line.decode(errors="replace").removesuffix("\r"))
             if event is not None:
@@ -122,7 +122,7 @@ class FrameReader:
             data = json.loads(text, parse_float=Decimal)
         except ValueError as exc:
             raise UnreachableError(
-                "what the daemon sends are no events", "look at its log"
+                "what the daemon sends are not events", "look at its log"
             ) from exc
         found: Document = data if isinstance(data, dict) else {"data": data}
         return Event(self.last_id, kind or "message", text_of(found, "drive"), found)

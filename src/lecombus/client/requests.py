@@ -53,7 +53,7 @@ def code_text(code: str | int) -> str:
     """
     match = CODE.fullmatch(str(code))
     if match is None:
-        raise ValueError(f"{code!r} is no code, write it like C0150, 150 or C0039/1")
+        raise ValueError(f"{code!r} is not a code, write it like C0150, 150 or C0039/1")
     return match[0].upper()
 
 
@@ -80,15 +80,15 @@ def exact(value: ValueToWrite) -> int | Decimal | str:
     """Return a value as it is sent: a float as the decimal that it is written as, such as 35.4.
 
     Raises:
-        ValueError: It is no value.
+        ValueError: It is not a value.
     """
     if isinstance(value, bool):
-        raise ValueError(f"{value} is no value of a drive, write 1 or 0")
+        raise ValueError(f"{value} is not a value of a drive, write 1 or 0")
     if isinstance(value, float):
         value = Decimal(repr(value))
     is_number = isinstance(value, int) or (isinstance(value, Decimal) and value.is_finite())
     if not is_number and not (isinstance(value, str) and value):
-        raise ValueError(f"{value!r} is no value of a drive, give a number or a text")
+        raise ValueError(f"{value!r} is not a value of a drive, give a number or a text")
     return value
 
 

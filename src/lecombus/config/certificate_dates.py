@@ -69,7 +69,7 @@ def not_after(certificate: bytes) -> float:
     """Return until when a certificate is valid, Unix seconds.
 
     Raises:
-        ValueError: It is no certificate.
+        ValueError: It is not a certificate.
     """
     try:
         at = content(certificate, content(certificate, 0)[1])[1]

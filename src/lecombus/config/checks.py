@@ -182,7 +182,8 @@ def _check_members(group: str, members: Items, known: set[str], mistakes: Mistak
             what = f"{shown(item.value)} is a member of {shown(group)} twice"
             mistakes.note(item.node, what, "keep one of the two")
         elif item.value not in known:
-            what = f"the group {shown(group)} has the member {shown(item.value)}, which is no drive"
+            member = shown(item.value)
+            what = f"the group {shown(group)} has the member {member}, which is not a drive"
             drives = f"the drives are {_some(known)}" if known else "name a drive of this roster"
             mistakes.note(item.node, what, did_you_mean(item.value, known, drives))
         seen.add(item.value)
@@ -350,7 +351,7 @@ def _range(low_s: float, high_s: float) -> str:
 
 def _check_whole_ms(time_s: float, place: Position, mistakes: Mistakes) -> None:
     if abs(time_s * 1000 - round(time_s * 1000)) > 1e-6:
-        what = f"a watchdog time of {format_duration(time_s)} is no whole number of milliseconds"
+        what = f"a watchdog time of {format_duration(time_s)} is not a whole number of milliseconds"
         mistakes.note(place, what, f"write {round(time_s * 1000)}ms")
 
 

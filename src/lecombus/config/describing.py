@@ -49,7 +49,7 @@ class DescribedGroup:
         members: Its members' names.
         how: How a stop goes out: `multicast` or `one-by-one`.
         multicast_address: The address of the one telegram; None one by one.
-        writes: How a write goes out that is no stop: `multicast` or `one-by-one`.
+        writes: How a write goes out that is not a stop: `multicast` or `one-by-one`.
     """
 
     name: str

@@ -58,7 +58,7 @@ class PortType(ScalarType):
 
     def _convert(self, text: str) -> str:
         if not text or not text.isprintable() or text != text.strip():
-            raise WrongText("is no port", f"give {_PORT_FORMS}")
+            raise WrongText("is not a port", f"give {_PORT_FORMS}")
         if text.startswith("/"):
             return self._device(text)
         if text in ("sim", "sim:"):
@@ -74,10 +74,10 @@ class PortType(ScalarType):
             right = did_you_mean(scheme, _SCHEMES, f"{one_of(_SCHEMES)} would be right")
             raise WrongText(f"has the unknown scheme {shown(scheme)}", right)
         if text.startswith("tty"):
-            raise WrongText("is no whole path", f"write /dev/{text}")
+            raise WrongText("is not a whole path", f"write /dev/{text}")
         meant = nearest(text, _SCHEMES)
         raise WrongText(
-            "is no port", f"did you mean `{meant}:`?" if meant else f"give {_PORT_FORMS}"
+            "is not a port", f"did you mean `{meant}:`?" if meant else f"give {_PORT_FORMS}"
         )
 
     def _device(self, text: str) -> str:
@@ -140,7 +140,7 @@ class GroupName(ScalarType):
 
     def _convert(self, text: str) -> str:
         if self._form.fullmatch(text) is None:
-            raise WrongText("is no group", f"give {self.expects}, such as operators")
+            raise WrongText("is not a group", f"give {self.expects}, such as operators")
         return text
 
 
@@ -162,7 +162,7 @@ class AbsolutePath(ScalarType):
 
     def _convert(self, text: str) -> str:
         if not text.startswith("/") or not text.isprintable():
-            raise WrongText("is no absolute path", f"write it from /, such as {self._example}")
+            raise WrongText("is not an absolute path", f"write it from /, such as {self._example}")
         if text.endswith("/"):
             raise WrongText("is a directory", f"name a file, such as {self._example}")
         size = len(text.encode())
@@ -182,7 +182,7 @@ class Host(ScalarType):
         labels = text.removesuffix(".").split(".")
         is_name = re.fullmatch(r"[A-Za-z0-9._:-]{1,253}", text, re.ASCII) is not None
         if not is_name or not all(0 < len(label) <= 63 for label in labels):
-            raise WrongText("is no host", f"give {self.expects}")
+            raise WrongText("is not a host", f"give {self.expects}")
         if re.fullmatch(r"[A-Za-z0-9._-]+:[0-9]+", text):
             raise WrongText("has a port in it", "give the port by the key `port`")
         return text
@@ -217,7 +217,7 @@ class Network(ScalarType):
         try:
             meant = ipaddress.ip_network(text, strict=False)
         except ValueError:
-            raise WrongText("is no address", f"give {self.expects}") from None
+            raise WrongText("is not an address", f"give {self.expects}") from None
         raise WrongText("has bits behind its network part", f"write {meant}")
 
 
@@ -233,7 +233,7 @@ class MailAddress(ScalarType):
 
     def _convert(self, text: str) -> str:
         if self._form.fullmatch(text) is None:
-            raise WrongText("is no mail address", f"give {self.expects}")
+            raise WrongText("is not a mail address", f"give {self.expects}")
         return text
 
 

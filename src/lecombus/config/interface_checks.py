@@ -108,7 +108,7 @@ def _check_notify(roster: Fields, mistakes: Mistakes) -> None:
     if isinstance(command, Items) and command.items:
         first = command.items[0]
         if command.complete and not first.value.startswith("/"):
-            what = f"the program {shown(first.value)} is no absolute path"
+            what = f"the program {shown(first.value)} is not an absolute path"
             mistakes.note(first.node, what, f"write it from /, such as /usr/bin/{first.value}")
     seen: set[str] = set()
     for item in events if isinstance(events, Items) else ():

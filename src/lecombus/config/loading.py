@@ -125,9 +125,9 @@ def _read(path: Path, mistakes: Mistakes) -> bytes:
     except OSError as exc:
         raise mistakes.fatal(Spot(), *_say_os_error(exc)) from exc
     except ValueError as exc:  # a NUL in the name
-        raise mistakes.fatal(Spot(), "this is no file name", "name a roster file") from exc
+        raise mistakes.fatal(Spot(), "this is not a file name", "name a roster file") from exc
     if data is None:
-        raise mistakes.fatal(Spot(), "this is no regular file", "name a roster file")
+        raise mistakes.fatal(Spot(), "this is not a regular file", "name a roster file")
     if len(data) > LARGEST:
         raise _too_large(mistakes)
     return data

@@ -142,7 +142,7 @@ def values_by_key(tokens: list[Any]) -> Iterator[tuple[str, list[Any]]]:
 def secret_values(tokens: list[Any]) -> Iterator[Any]:
     """Give the scalars that are, or are in, the value of a key that sounds like a secret.
 
-    A path is none. What stands for the file of a password and is no path may be the password.
+    A path is none. What stands for the file of a password and is not a path may be the password.
     """
     for key, values in values_by_key(tokens):
         if is_password(key):

@@ -42,7 +42,7 @@ class Whole(ScalarType):
 
     def _number(self, text: str) -> int:
         if re.fullmatch(r"-?[0-9]{1,9}", text) is None:
-            raise WrongText("is no whole number", f"give {self.expects}")
+            raise WrongText("is not a whole number", f"give {self.expects}")
         if re.fullmatch(r"-?0[0-9]+", text):
             # YAML 1.1 reads 010 as 8, YAML 1.2 as 10: which was meant cannot be seen.
             raise WrongText(
@@ -150,7 +150,7 @@ class Size(ScalarType):
     def _convert(self, text: str) -> int:
         match = re.fullmatch(r"([0-9]{1,6}) ?(MB|GB)", text, re.ASCII)
         if match is None:
-            raise WrongText("is no size", f"give {self.expects}")
+            raise WrongText("is not a size", f"give {self.expects}")
         size = int(match[1]) * (1000 if match[2] == "GB" else 1)
         if not self._low <= size <= self._high:
             raise WrongText("is out of range", f"{self._low}MB to {self._high}MB would be right")
@@ -174,7 +174,7 @@ class Percent(ScalarType):
     def _convert(self, text: str) -> float:
         match = re.fullmatch(r"([0-9]{1,4}(?:\.[0-9]{1,4})?) ?(%?)", text)
         if match is None:
-            raise WrongText("is no share", f"give {self.expects}")
+            raise WrongText("is not a share", f"give {self.expects}")
         number = float(match[1])
         if not match[2]:
             percent = number * 100 if number < 1 else number
@@ -209,7 +209,7 @@ class CodeType(ScalarType):
     def _words(self, text: str) -> tuple[str, str]:
         match = re.fullmatch(r"([CcPp]?)([0-9]+)(?:/([0-9]+))?", text, re.ASCII)
         if match is None:
-            return "is no code", "write it like C0150, C150, 150, C0039/1 (code/subcode) or P425"
+            return "is not a code", "write it like C0150, C150, 150, C0039/1 (code/subcode) or P425"
         if match[1] in {"P", "p"} and len(match[2]) > 3:
             return "is no SMVector parameter", "P0 to P999 would be right"
         if match[3] and (len(match[3]) > 3 or int(match[3]) > self._rules.highest_subcode):

@@ -46,7 +46,7 @@ class WrongText(Exception):  # noqa: N818 - never leaves this room
     """A text is not what its key wants.
 
     Args:
-        what: What is wrong, to stand behind the key and its value: "is no whole number".
+        what: What is wrong, to stand behind the key and its value: "is not a whole number".
         right: What would be right.
     """
 
@@ -116,7 +116,7 @@ class TextLine(ScalarType):
 
     def _convert(self, text: str) -> str:
         if not text or not text.isprintable() or text != text.strip():
-            raise WrongText("is no usable text", f"give {self.expects}")
+            raise WrongText("is not usable text", f"give {self.expects}")
         if len(text) > self._longest:
             raise WrongText(f"has {len(text)} characters", f"at most {self._longest} are taken")
         return text

@@ -267,7 +267,7 @@ class _Composer:
             for node in source.items if isinstance(source, ListNode) else [source]:
                 if not isinstance(node, MappingNode):
                     right = "give an alias of a mapping, such as `<<: *defaults`"
-                    self._mistakes.note(node, "`<<` is given what is no mapping", right)
+                    self._mistakes.note(node, "`<<` is given what is not a mapping", right)
                     continue
                 for text, pair in node.items.items():
                     into.items.setdefault(text, pair)

@@ -98,7 +98,7 @@ def check_allowed(family: Family, code: Code, value: Value) -> None:
 
 
 def _word_digits(info: CodeInfo | None, last_read: Value | None) -> int | None:
-    """Return the number of hexadecimal digits a code is sent with, None where it is no word."""
+    """Return the number of hexadecimal digits a code is sent with, None where it is not a word."""
     if info is not None:
         return info.hex_digits if info.format is Format.VH else None
     if last_read is not None and last_read.format is Format.VH:
@@ -113,7 +113,7 @@ def _word(given: Decimal | int | str, digits: int) -> Value:
             # A short number with an exponent could be a megabyte once written out.
             not given.is_finite() or given.adjusted() > _MOST_DIGITS or given % 1
         ):
-            raise CodeValueError(f"{given} is no whole number; {_word_form(digits)} is right")
+            raise CodeValueError(f"{given} is not a whole number; {_word_form(digits)} is right")
         return Value.hexadecimal(int(given), digits)
     match = _WORD.fullmatch(given.upper())
     if match is None:
@@ -127,7 +127,7 @@ def _readings(text: str, digits: int) -> str:
     """Return what digits without a sign of their base could mean as a word, and how to write it."""
     match = _DIGITS.fullmatch(text)
     if match is None or match[1] == "-" or (match[3] or "").strip(".0"):
-        return f"{text!r} is no word; {_word_form(digits)} is right"
+        return f"{text!r} is not a word; {_word_form(digits)} is right"
     number, highest = int(match[2]), 16**digits - 1
     decimal = f"H{number:0{digits}X}" if number <= highest else ""
     plain = not match[1] and match[3] is None

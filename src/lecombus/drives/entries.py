@@ -228,7 +228,7 @@ AnyWord = TypeVar("AnyWord", WordInfo, ControlWordInfo)
 
 def _read_configuration(given: object) -> str:
     if CONFIGURATION.fullmatch(read_words(given)) is None:
-        raise mistake(f"{given} is no signal configuration such as 1xx1")
+        raise mistake(f"{given} is not a signal configuration such as 1xx1")
     return read_words(given)
 
 

@@ -2,8 +2,8 @@
 
 `family_files` makes a `Family` of the data files in `families/`. Everything is resolved then, so
 that a question on the path of every exchange is a dictionary access. A code without a description
-is no error: it may be read, its write is not repeated after a lost answer, and its format follows
-from the value given.
+is not an error: it may be read, its write is not repeated after a lost answer, and its format
+follows from the value given.
 """
 
 from __future__ import annotations

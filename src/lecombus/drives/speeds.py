@@ -63,9 +63,9 @@ def speed_step(known: Known, number: Decimal, unit: str) -> WriteStep:
     rule = next((one for one in in_force if one.unit == unit), in_force[0])
     scale = _scale(known, rule)
     if rule.unit != unit and (not scale or unit not in ("Hz", "%")):
-        raise _bad_speed(known, rule, in_force, f"{number} {unit} is no speed of {known.drive}")
+        raise _bad_speed(known, rule, in_force, f"{number} {unit} is not a speed of {known.drive}")
     if abs(number) > MOST:
-        raise _bad_speed(known, rule, in_force, f"{number:.3G} {unit} is no speed of anything")
+        raise _bad_speed(known, rule, in_force, f"{number:.3G} {unit} is not a speed of anything")
     given = number
     if rule.unit != unit:
         if len(set(scale.values())) > 1 or len(scale) < len(_scale_settings(known, rule)):

@@ -274,7 +274,7 @@ def check_control(rules: VerbRules, info: ValidationInfo) -> VerbRules:
     """Refuse rules whose control word lacks the bits that verbs change."""
     word = info.data.get("control_words", {}).get("", {}).get(rules.control)
     if word is None or not {QUICK_STOP, INHIBIT} <= word.bits.keys():
-        message = f"{rules.control} is no control word with bits {QUICK_STOP} and {INHIBIT}"
+        message = f"{rules.control} is not a control word with bits {QUICK_STOP} and {INHIBIT}"
         raise mistake(message, "control")
     return rules
 

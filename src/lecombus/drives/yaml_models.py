@@ -158,7 +158,7 @@ def mistake(message: str, *below: int | str, code: object = "") -> PydanticCusto
 
 
 def _refuse_key(_: object) -> NoReturn:
-    raise PydanticCustomError("unexpected_keyword_argument", "this is no key")
+    raise PydanticCustomError("unexpected_keyword_argument", "this is not a key")
 
 
 NOT_A_KEY: Final = ReadBy(_refuse_key)
@@ -199,7 +199,7 @@ class YamlFile:
         untrusted: A user's file: its depth is checked before it is composed.
 
     Raises:
-        DescriptionError: It is no YAML, nests too deep, is no table, or a key stands in it twice.
+        DescriptionError: It is not YAML, nests too deep, is not a table, or a key is given twice.
     """
 
     def __init__(self, text: str, file: str, *, family: str = "", untrusted: bool = False) -> None:

@@ -213,7 +213,7 @@ def result_of(root: str, payload: bytes) -> StopResult:
         found: Any = json.loads(text, parse_float=Decimal, parse_constant=refuse)
         outcome = found["outcome"]
         if not isinstance(outcome, str):
-            raise TypeError("outcome is no text")
+            raise TypeError("outcome is not text")
     except (ValueError, TypeError, KeyError, ArithmeticError, RecursionError) as exc:
         return not_known(root, f"the answer cannot be read ({exc})", "bad-answer")
     said = {key: str(found.get(key) or "") for key in ("kind", "reason", "remedy")}
@@ -222,4 +222,4 @@ def result_of(root: str, payload: bytes) -> StopResult:
 
 def refuse(word: str) -> None:
     """Refuse NaN and Infinity, which are no JSON."""
-    raise ValueError(f"{word} is no number")
+    raise ValueError(f"{word} is not a number")

@@ -237,14 +237,14 @@ class Journal:
         self._add(Row(intent.kind, intent.drive, fields, self._now_ms(), outcome, intent, is_vital))
 
     def keep(self, other: KeyRow | Fact) -> None:
-        """Keep what is no row; waits for nothing, and is written no later than the next row."""
+        """Keep what is not a row; waits for nothing, and is written no later than the next row."""
         self._others.append(other)
         if len(self._others) > PENDING_MOST:
             self._others.popleft()
         self._flush_soon()
 
     async def keep_now(self, other: KeyRow) -> None:
-        """Keep what is no row, and wait until it is on the disk.
+        """Keep what is not a row, and wait until it is on the disk.
 
         Raises:
             JournalFileError: It is not, and waiting longer has no purpose.

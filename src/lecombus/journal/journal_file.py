@@ -50,7 +50,7 @@ looks there only. Looking at 800,000 rows takes a second, and far longer from a 
 LEAST_BYTES: Final = 4 * 1024 * 1024
 SET_ASIDE_MOST: Final = 9
 
-NOT_OURS: Final = "is no journal of lecombus, and is left alone"
+NOT_OURS: Final = "is not a journal of lecombus, and is left alone"
 
 SCHEMA: Final = """
 CREATE TABLE entries (
@@ -260,7 +260,7 @@ class JournalFile:
         return rows
 
     def _check_regular(self) -> None:
-        """Refuse what is no regular file: opening alone does something to some devices."""
+        """Refuse what is not a regular file: opening alone does something to some devices."""
         try:
             mode = self.path.stat().st_mode
         except FileNotFoundError:
@@ -270,7 +270,7 @@ class JournalFile:
         except OSError as exc:
             raise JournalFileError(f"{self._path} cannot be opened: {exc.strerror}") from exc
         if not stat.S_ISREG(mode):
-            raise JournalFileError(f"{self._path} is no regular file")
+            raise JournalFileError(f"{self._path} is not a regular file")
 
     def _check_place(self, db: apsw.Connection) -> None:
         """See that the file has not been removed or replaced since it was opened."""

@@ -42,7 +42,7 @@ class Fact:
 
 
 def keep(db: apsw.Connection, other: KeyRow | Fact) -> None:
-    """Write what is no row of the chain."""
+    """Write what is not a row of the chain."""
     if isinstance(other, Fact):
         db.execute("INSERT OR REPLACE INTO facts VALUES (?1, ?2)", (other.name, other.text))
     elif not other.content:

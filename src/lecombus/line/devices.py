@@ -94,7 +94,7 @@ def others_at(path: str) -> tuple[str, ...]:
     has the far end is left out: a simulator holds both ends.
 
     Args:
-        path: Any name of the device; what is no device is held by none.
+        path: Any name of the device; what is not a device is held by none.
     """
     if not path.startswith("/"):
         return ()

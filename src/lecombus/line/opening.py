@@ -60,7 +60,7 @@ def url_mistake(url: str) -> str | None:
             return f"{url}: {exc}"
     elif scheme or not url.startswith("/"):
         right = "a device path such as /dev/serial/by-id/.., or socket://HOST:PORT"
-        return f"{url!r} is no port: use {right}"
+        return f"{url!r} is not a port: use {right}"
     return None
 
 

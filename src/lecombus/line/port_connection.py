@@ -254,9 +254,9 @@ LONGEST_FACTOR = 20.0
 class StallWatch:
     """Notices a port that is open and dead: some adapters stall for hours without an error.
 
-    Only time in which drives were asked counts: an idle line is no fault. If nothing answers after
-    a reopening either, the drives are probably switched off, and the port is reopened less and less
-    often.
+    Only time in which drives were asked counts: an idle line is not a fault. If nothing answers
+    after a reopening either, the drives are probably switched off, and the port is reopened less
+    and less often.
 
     Args:
         stall_s: Silence from all drives after which the port is reopened, seconds; 0: never.

@@ -9,7 +9,7 @@ are logged in `WINDOW_S`; what is beyond is counted and logged as one sum after 
 Texts that a client chose are cut, and what could pass for another field is removed.
 
 `followers` get every operation whole, at its begin and at its end: the journal and the event
-stream. An operation that is no stop waits until they have it, and one of them may refuse it; a
+stream. An operation that is not a stop waits until they have it, and one of them may refuse it; a
 stop that comes in that time ends it (`CAME_S`). A stop waits for nothing and is refused by nothing.
 """
 

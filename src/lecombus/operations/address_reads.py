@@ -70,7 +70,7 @@ class Heard:
     Args:
         kind: What it was.
         value: The value, if it was one.
-        received: Bytes that were no usable answer, parity bits included; the first of them.
+        received: Bytes that were not a usable answer, parity bits included; the first of them.
         disturbances: How often, ever, the line has carried something that was no answer to its
             question; more than before means that something was heard besides.
     """

@@ -4,7 +4,7 @@ Strategy: the first identity a drive shows is recorded. When it later differs in
 read, or from the roster, another device (or the same with other software) answers at its address:
 the difference stands as a remark that lets nothing but stops be written, until a person who has
 seen both accepts it, or the roster names what is there. The roster decides for the codes it names,
-the record for all others. What cannot be read is no difference.
+the record for all others. What cannot be read is not a difference.
 
 Two devices of one kind with the same software say the same: they cannot be distinguished.
 Source: EDB2102EN 8.2 (C1810, C1811), CMVLC401A table 9 (C0200, C0201), 8.1.3 (C1099), 9.2 (P502).

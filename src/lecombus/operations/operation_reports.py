@@ -48,7 +48,7 @@ STOPPED_REMEDY: Final = "ask for it again if it is still wanted: a stop ends all
 READ_REMEDY: Final = "read the code to see what it holds"
 OTHER_RUN_REMEDY: Final = "look at the drive, then begin again"
 CUT_REMEDY = "the port is being reopened; read the code then to see what it holds"
-"""The write may have happened, so repeating it without a look is no remedy."""
+"""The write may have happened, so repeating it without a look is not a remedy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,7 +204,7 @@ class GroupFacts:
         name: Its name.
         members: Its drives.
         multicast_address: The address one telegram reaches exactly these drives at, or None.
-        multicast: Whether writes that are no stops may go there.
+        multicast: Whether writes that are not stops may go there.
     """
 
     name: str

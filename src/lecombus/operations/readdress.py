@@ -218,7 +218,7 @@ class Readdress:
             return OperationError(text, kind=kind, drive=drive, code=code, remedy=remedy)
 
         if not find(station.family.protocol).is_address(address):
-            text = f"{address} is no drive's address"
+            text = f"{address} is not a drive's address"
             raise refuse(text, "bad-value", "1 to 99 without 10, 20 .. 90 would be right")
         other = next((one.name for one in self._drives if one.entry.address == address), None)
         if other is not None:

@@ -99,12 +99,12 @@ class StopMarks:
         Of another run it is not known whether a stop came since, so it does not.
 
         Raises:
-            OperationError: `bad-request`: it is no mark of this drive.
+            OperationError: `bad-request`: it is not a mark of this drive.
         """
         match = MARK.fullmatch(mark)
         if match is None or match["drive"] != drive:
             raise OperationError(
-                f"stops is {mark!r}, which is no mark of {drive}: nothing was sent",
+                f"stops is {mark!r}, which is not a mark of {drive}: nothing was sent",
                 kind="bad-request",
                 drive=drive,
                 remedy=f"send `stops` as `GET /v1/drives/{drive}/restore` gives it",

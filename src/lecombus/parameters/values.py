@@ -155,7 +155,7 @@ class Value:
             limits: Which numbers can be sent.
 
         Raises:
-            CodeValueError: It is no decimal, out of range, or has too many decimals.
+            CodeValueError: It is not a decimal, out of range, or has too many decimals.
 
         Source: EDB2102EN 8.3.1 "ASCII decimal format (VD)"; CMVLC401A 5.4.
         """
@@ -227,7 +227,7 @@ def _parse(text: str) -> Value:
     if match and (match.end(1) < 6 or LOWEST_DECIMAL <= Decimal(text) <= HIGHEST_DECIMAL):
         return Value(Format.VD, text)
     raise ValueFormatError(
-        f"{text!r} is no value: a decimal such as -35.4, H with 2, 4 or 8 hexadecimal digits, "
+        f"{text!r} is not a value: a decimal such as -35.4, H with 2, 4 or 8 hexadecimal digits, "
         "S with text, or O with pairs of hexadecimal digits is",
         value=text,
     )

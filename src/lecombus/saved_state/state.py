@@ -8,9 +8,9 @@ border: a person or a failing disk may have changed it.
 brought to the disk (fsync), takes the file's name, and the folder is brought to the disk as well. A
 file of an older version is read as one of this version, and kept beside it. A damaged file is never
 overwritten: it is set aside under its own name with `.damaged` and a number, and said. A file of a
-later version is left alone, and nothing is kept then; so is what is no regular file. Where the path
-is a link, all this is done where it leads, also when there is nothing yet, and the link stays a
-link; it is checked again each time.
+later version is left alone, and nothing is kept then; so is what is not a regular file. Where the
+path is a link, all this is done where it leads, also when there is nothing yet, and the link stays
+a link; it is checked again each time.
 
 Only regular files are opened, never a pipe, a device or a folder. Opening never waits: a pipe
 without a reader would block open() without end, and a device that is given another name
@@ -64,7 +64,7 @@ PlainText = Annotated[str, AfterValidator(_plain)]
 
 
 class StateFormatError(ValueError):
-    """The text is no state file."""
+    """The text is not a state file."""
 
 
 class NewerStateError(ValueError):
@@ -190,7 +190,7 @@ class State:
 
         Raises:
             NewerStateError: A later version wrote it.
-            StateFormatError: It is no state file.
+            StateFormatError: It is not a state file.
         """
         version, text = _as_of_now(text)
         try:
@@ -391,7 +391,7 @@ def open_regular(path: Path, flags: int) -> int:
     """Open a file and give its descriptor.
 
     Raises:
-        OSError: It cannot be opened, or is no regular file.
+        OSError: It cannot be opened, or is not a regular file.
     """
     with contextlib.suppress(FileNotFoundError):
         _refuse(path, path.stat().st_mode)  # opening alone does something to some devices

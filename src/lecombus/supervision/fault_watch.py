@@ -4,7 +4,7 @@ A fault is active only when a status word shows it; what stands in the fault mem
 old. So the words decide whether there is one, and when one rises the memory is read soon, for
 its number: a user need not wait for the memory's own slow turn. The number is taken only
 if it agrees with what the words say (the kind; where the memory holds LECOM numbers, C0068's tens
-digit). A value that is no whole number is none: nothing says how it would be read.
+digit). A value that is not a whole number is none: nothing says how it would be read.
 
 Strategy: no task and no timer. `seen` is called with every value read, costs two look-ups when
 nothing changed, and asks for the few reads that a change calls for; their values come back the

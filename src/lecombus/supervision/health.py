@@ -58,7 +58,7 @@ AGAIN_S = 60.0
 class AuditQueue:
     """The audits of one line's drives that were asked for and have not begun.
 
-    They are asked for by events of the line, which are no tasks and cannot start one; the drive
+    They are asked for by events of the line, which are not tasks and cannot start one; the drive
     supervisor's task starts them.
     """
 

@@ -1,7 +1,7 @@
 """What stands in the journal: operations with their ends, trips, losses, starts, rosters.
 
 Strategy: one follower of operations (`actions`) and one subscriber of the store; nothing else in
-the program writes to the journal, so its rows are made in one place. An operation that is no stop
+the program writes to the journal, so its rows are made in one place. An operation other than a stop
 waits until its intent is on the disk: the line goes on with other requests in that time. While
 the journal fails, one that controls a drive is refused, or goes on where the roster says
 `on_failure: go-on`; settings go on. Stops are recorded behind the telegram and never refused.

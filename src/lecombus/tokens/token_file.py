@@ -196,7 +196,7 @@ def _read(path: Path, owners: Collection[int] | None) -> bytes:
     with os.fdopen(descriptor, "rb") as file:
         found = os.fstat(descriptor)
         if not stat.S_ISREG(found.st_mode):
-            raise refused(path, "it is no regular file", "name the file of tokens")
+            raise refused(path, "it is not a regular file", "name the file of tokens")
         if found.st_mode & 0o022:
             mode = f"its mode is {stat.S_IMODE(found.st_mode):04o}"
             raise refused(path, f"others may write it: {mode}", f"chmod 0640 {path}")

@@ -317,7 +317,7 @@ class PlcControl:
         self._is_armed = False
 
     def write_command(self, client: str, command: Command) -> None:
-        """Take what is no stop: `enable`, `reset-fault`, or 0."""
+        """Take what is not a stop: `enable`, `reset-fault`, or 0."""
         before, self._command = self._command, int(command)
         holds = self._holds and self._owner == client
         if command is Command.NONE:

@@ -54,14 +54,14 @@ def expiry_of(incoming: Incoming, document: dict[str, Json]) -> float:
     """Return how long a command may wait, seconds; takes its `expires` out of the document.
 
     Raises:
-        CommandRefusedError: `expires` is no duration, or it is over.
+        CommandRefusedError: `expires` is not a duration, or it is over.
     """
     said_s = EXPIRES_S if incoming.expiry_s is None else float(incoming.expiry_s)
     if (given := document.pop("expires", None)) is not None:
         try:
             own_s = parse_duration(given if isinstance(given, str) else f"{given}s")
         except ValueError as exc:
-            raise bad(f"`expires` is no duration: {str(given)[:60]}") from exc
+            raise bad(f"`expires` is not a duration: {str(given)[:60]}") from exc
         said_s = own_s if incoming.expiry_s is None else min(said_s, own_s)
     if said_s < LEAST_EXPIRY_S:
         raise expired("its time was over when it came")
@@ -77,7 +77,7 @@ def body_of(topic: CommandTopic, payload: bytes) -> dict[str, Json]:
     try:
         text = payload.decode().strip()
     except UnicodeDecodeError as exc:
-        raise bad("the payload is no text in UTF-8") from exc
+        raise bad("the payload is not text in UTF-8") from exc
     if text.startswith("{"):
         return {key: plain(key, value) for key, value in object_of(text).items()}
     if topic.what == "set":
@@ -143,7 +143,7 @@ def decimal_of(text: str) -> Decimal:
 
 def refuse_constant(word: str) -> None:
     """Refuse NaN and Infinity, which are no JSON."""
-    raise ValueError(f"{word} is no number")
+    raise ValueError(f"{word} is not a number")
 
 
 def number_or_text(text: str) -> Json:

@@ -195,7 +195,7 @@ def read_password(path: str) -> str:
             is_open_to_all = os.fstat(file.fileno()).st_mode & stat.S_IROTH
             text = file.read(4096).removesuffix("\n")
     except (OSError, UnicodeDecodeError) as exc:
-        why = exc.strerror if isinstance(exc, OSError) else "it is no text"
+        why = exc.strerror if isinstance(exc, OSError) else "it is not text"
         raise NotSentError(f"the password file {path} cannot be read: {why}") from exc
     if is_open_to_all:
         raise NotSentError(f"all users may read the password file {path}: chmod o= {path}")

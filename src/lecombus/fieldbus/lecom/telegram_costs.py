@@ -10,7 +10,7 @@ another. So the whole answer gets the longest its format allows plus the usual o
 is fixed (C0150) that is twice its time on the wire.
 
 Costs are needed for every exchange, so they are cached by timing, family, code and form. The pause
-before a telegram (turnaround) is kept by the sender and is no part of a cost.
+before a telegram (turnaround) is kept by the sender and is not a part of a cost.
 
 Source: EDB2102EN 3.5, 8.3.5.
 """

@@ -354,7 +354,7 @@ class WriteJob(WriteWork):
             self.error = back.error
             return Outcome.UNKNOWN, f"the write was {what} and {verdict[1]}"
         if self._is_no_word(self.proof):
-            text = f"it reads {self.proof.raw} afterwards, which is no control word"
+            text = f"it reads {self.proof.raw} afterwards, which is not a control word"
             return Outcome.UNKNOWN, text
         if back.is_shown and not self._acknowledged and self._stops:
             if self.attempts <= self.retries:

@@ -85,7 +85,7 @@ class StopJob(StopWork):
     A quick stop changes one bit of the control word. Where the word is not known, or whether the
     drive is inhibited, that is read first; where it cannot be read the drive is inhibited instead,
     because a guessed word could start what was standing still. A quick stop that the drive refuses
-    is no stop: it is inhibited then too.
+    is not a stop: it is inhibited then too.
 
     Args:
         station: The drive.

@@ -79,7 +79,7 @@ class RequestParser:
     def _restart(self, byte: int, events: list[HostRequest]) -> None:
         if self._text.ended:
             self._bad(TelegramFault.BCC, events)
-        elif len(self._raw) > 1:  # a bare EOT is no telegram and cuts none
+        elif len(self._raw) > 1:  # a bare EOT is not a telegram and cuts none
             self._bad(TelegramFault.INTERRUPTED, events)
         self._clear()
         self._raw.append(byte)

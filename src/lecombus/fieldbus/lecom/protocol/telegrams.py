@@ -201,7 +201,7 @@ class WriteRequest:
 
 @dataclass(frozen=True, slots=True)
 class BadRequest:
-    """Something came that is no request.
+    """Something came that is not a request.
 
     Args:
         fault: Why.

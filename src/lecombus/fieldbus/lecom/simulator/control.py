@@ -35,13 +35,13 @@ def parse_code(word: str) -> tuple[int, int]:
     """Read `C0039/1`, `39/1` or `P425` (which is C1425).
 
     Raises:
-        ValueError: It is no code.
+        ValueError: It is not a code.
     """
     match = _CODE.match(word)
     number = -1 if match is None else int(match[2]) + (1000 if match[1] in "Pp" and match[1] else 0)
     subcode = 0 if match is None else int(match[3] or 0)
     if not 0 <= number <= 65535 or subcode > 255:
-        raise ValueError(f"`{word}` is no code, write C0012, C0039/1 or P425")
+        raise ValueError(f"`{word}` is not a code, write C0012, C0039/1 or P425")
     return number, subcode
 
 

@@ -101,7 +101,7 @@ def send_to_simulator(path: Path, line: str) -> str:
 
     Raises:
         ControlError: It says that the line is wrong or cannot be done.
-        OSError: The socket has no server, or the server is no simulator.
+        OSError: The socket has no server, or the server is not a simulator.
     """
     with socket.socket(socket.AF_UNIX) as client:
         client.connect(str(path))

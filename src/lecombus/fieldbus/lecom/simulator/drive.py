@@ -96,7 +96,7 @@ class SimDrive:
         digit_of: str = "lecom",
     ) -> None:
         if not 1 <= address <= 99 or address % 10 == 0:
-            raise ValueError(f"address {address} is no drive address (1..99, not ending in 0)")
+            raise ValueError(f"address {address} is not a drive address (1..99, not ending in 0)")
         if family not in MODELS:
             raise ValueError(f"no simulated family {family!r}: one of {', '.join(MODELS)}")
         self.name = name or f"drive-{address}"

@@ -50,7 +50,7 @@ def read_code_field(field: bytes) -> tuple[int, int, bool] | None:
         field: Two characters (standard) or seven (extended).
 
     Returns:
-        Code number, subcode and whether the addressing is extended; None when it is no code.
+        Code number, subcode and whether the addressing is extended; None when it is not a code.
 
     Source: EDB2102EN 8.3.1, "Standard addressing" and "Extended addressing".
     """
