@@ -200,6 +200,31 @@ def test_an_answer_that_comes_in_is_waited_for_beyond_the_first_deadline() -> No
     assert result.kind is ResultKind.ANSWERED
 
 
+def test_after_an_answer_that_broke_off_the_whole_one_may_still_come() -> None:
+    exchange = begun()
+    assert exchange.feed(ANSWER[:4], T0 + 0.020) is None
+    result = trickle(exchange, ANSWER, 0.040)
+    assert result is not None
+    assert isinstance(result.answer, ValueAnswer)
+    assert (result.received, result.clean) == (ANSWER[:4], False)
+
+
+@pytest.mark.parametrize(
+    ("before", "fault"),
+    [(b"", "the answer broke off"), (b"x", "the answer is bad: unexpected")],
+    ids=["alone", "after rubbish"],
+)
+def test_an_acknowledgement_after_half_an_answer_proves_nothing(before: bytes, fault: str) -> None:
+    exchange = begun(ask(ACK_FIELD))
+    if before:
+        assert exchange.feed(before, T0 + 0.010) is None
+    assert exchange.feed(ANSWER[:4], T0 + 0.025) is None
+    assert exchange.feed(ACK, T0 + 0.040) is None
+    result = given_up(exchange)
+    assert (result.kind, result.fault) == (ResultKind.GARBLED, fault)
+    assert result.received == before + ANSWER[:4]
+
+
 def test_a_line_that_never_falls_silent_does_not_hold_the_exchange_for_ever() -> None:
     exchange = begun()
     exchange.feed(b"\x02", T0 + 0.050)

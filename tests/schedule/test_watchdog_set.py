@@ -720,3 +720,92 @@ def test_after_a_lost_answer_a_longer_exchange_with_the_drive_leaves_room_for_th
     assert feeds.own_first(holds_s + 0.01, WORST_S + 0.05, "a") is own
     own.failures = faults.tolerate
     assert feeds.own_first(holds_s + 0.01, WORST_S + 0.05, "a") is None
+
+
+# ---- what is said of a request before it is asked for -------------------------------------------
+
+
+def roster_of(faults: FaultHypothesis, **times_s: float) -> WatchdogSet:
+    """The watchdogs that a roster names."""
+    feeds = WatchdogSet(faults)
+    for name, time_s in times_s.items():
+        feeding = WatchdogFeeding(time_s, partial(World().request, name))
+        feeds.by_drive[name] = WatchdogDeadline(name, feeding, 0.0)
+    return feeds
+
+
+def test_a_read_that_does_not_fit_beside_the_roster_is_known_to_before_it_is_asked_for() -> None:
+    faults = FaultHypothesis(1, stop_failed_s=0.5)
+    world = World().drives("a", "b", "c")
+    world.schedule.expect(faults, roster_of(faults, a=1.0, b=1.0))
+    most_s = HARD_PART - 3 * COST_S
+    longest_s = most_s - (0.5 - 0.1)
+    ask = partial(world.request, "c", worst_s=0.4)
+    assert world.schedule.never_beside_roster(ask(cost_s=longest_s - 0.001), ()) == ""
+    reason = world.schedule.never_beside_roster(ask(cost_s=longest_s + 0.001), ())
+    assert f"keep feeds waiting for {most_s + 0.001:.3f} s" in reason
+    assert f"{most_s:.3f} s is the most" in reason
+    assert "watchdog 1 s" in reason
+
+
+def test_drives_that_are_not_expected_back_forbid_nothing_until_they_are() -> None:
+    faults = FaultHypothesis(1, stop_failed_s=0.1)
+    world = World().drives("quick", "slow", "c")
+    world.schedule.expect(faults, roster_of(faults, quick=0.5, slow=2.0))
+    long = world.request("c", cost_s=0.6, worst_s=0.9)
+    for _ in range(2):
+        assert "drive quick, watchdog 0.5 s" in world.schedule.never_beside_roster(long, ())
+        assert world.schedule.never_beside_roster(long, {"quick"}) == ""
+        assert world.schedule.never_beside_roster(long, {"quick", "slow"}) == ""
+        assert "drive quick" in world.schedule.never_beside_roster(long, {"slow"})
+
+
+@pytest.mark.parametrize(
+    ("documented", "fits"), [((0.3, 0.4), True), ((0.7, 0.8), False), (None, False)]
+)
+def test_beside_the_roster_a_request_counts_by_its_manual(
+    documented: tuple[float, float] | None, fits: bool
+) -> None:
+    """`check` has said so of the roster; what was measured may be wrong by now."""
+    faults = FaultHypothesis(1, stop_failed_s=0.3)
+    world = World().drives("a", "c")
+    world.schedule.expect(faults, roster_of(faults, a=1.0))
+    measured = world.request("c", cost_s=0.8, worst_s=1.2, documented=documented)
+    assert (world.schedule.never_beside_roster(measured, ()) == "") is fits
+
+
+def test_without_a_roster_everything_fits_beside_it() -> None:
+    world = World().drives("a", "c")
+    world.feed("a", 0.5)
+    world.schedule.expect(FaultHypothesis(1))
+    long = world.request("c", cost_s=5.0, worst_s=9.0)
+    assert world.schedule.never_beside_roster(long, ()) == ""
+    assert world.schedule.never(long) != ""
+
+
+def test_a_multicast_that_would_never_go_is_known_to_before_it_is_asked_for() -> None:
+    """Its members are then spoken to one by one."""
+    world = lost_stop_world()
+    longest_s = HARD_PART - 3 * COST_S - (0.5 - 0.1)
+    shared = partial(world.request, "both", P.CONTROL, members=("a", "b"), cost_s=COST_S)
+    assert world.schedule.never(shared(worst_s=longest_s - 0.001)) == ""
+    assert world.schedule.never(shared(worst_s=longest_s - 0.1, hold_s=0.099)) == ""
+    reason = world.schedule.never(shared(worst_s=longest_s - 0.1, hold_s=0.101))
+    assert "with the time its members are left alone" in reason
+    assert world.ended == [], "it was only asked"
+
+
+@pytest.mark.parametrize(
+    ("tolerate", "answered_s", "failed_s"), [(0, 0.0, 0.0), (1, 0.5, 0.1), (3, 0.7, 0.6)]
+)
+def test_room_is_kept_behind_an_exchange_for_the_answers_that_may_yet_be_lost(
+    tolerate: int, answered_s: float, failed_s: float
+) -> None:
+    """Behind one that is answered for all that are tolerated; its own lost answer is one of them.
+
+    The longest feed takes 0.1 s in vain, a stop 0.2 s and 0.6 s in vain; of that a tenth of the
+    shortest watchdog time, 0.1 s, is there to be used.
+    """
+    feeds = roster_of(FaultHypothesis(tolerate, stop_s=0.2, stop_failed_s=0.6), a=1.0, b=2.0)
+    feeds.changed()
+    assert feeds.behind_s() == pytest.approx((answered_s, failed_s))
