@@ -247,13 +247,17 @@ def why_not(write: Request) -> str:
 
 
 @pytest.mark.parametrize("says", ["the same", "another", None])
-@pytest.mark.parametrize("lifts_nothing", [False, True])
+@pytest.mark.parametrize(
+    ("halts", "lifts_nothing"),
+    [(False, False), (True, False), (True, True)],
+    ids=["a setpoint", "a quick stop", "an inhibit"],
+)
 def test_a_write_that_stops_keeps_an_earlier_one_from_being_said_again_unless_it_lifts_nothing(
-    lifts_nothing: bool, says: str | None
+    halts: bool, lifts_nothing: bool, says: str | None
 ) -> None:
-    """A lost setpoint, said again behind a quick stop, would let the drive run."""
+    """A lost setpoint, said again behind it, would let the drive run; a quick stop lift it."""
     world = World().drives("a")
-    earlier = said_in_vain(world, says="the same", lifts_nothing=lifts_nothing)
+    earlier = said_in_vain(world, says="the same", halts=halts, lifts_nothing=lifts_nothing)
     goes_out(world, says=says, halts=True)
     assert why_not(earlier) == ("" if lifts_nothing else STOPPED)
     assert earlier.why_unwanted(writes=False) == "", "what it did may still be read"
@@ -314,17 +318,21 @@ def test_a_setting_that_waits_behind_a_write_that_stops_goes_on_where_it_cannot_
     assert why_not(setting) == ("" if goes_on else STOPPED)
 
 
-@pytest.mark.parametrize("priority", [P.CONTROL, P.INTERACTIVE])
-def test_what_was_put_off_is_early_by_its_class_and_late_once_it_was_said(
-    priority: Priority,
+@pytest.mark.parametrize(
+    ("priority", "was_said", "why"),
+    [(P.CONTROL, False, REPLACED), (P.INTERACTIVE, False, ""), (P.INTERACTIVE, True, REPLACED)],
+)
+def test_a_write_of_a_lower_class_that_was_never_said_waits_its_turn_and_was_not_overtaken(
+    priority: Priority, was_said: bool, why: str
 ) -> None:
-    """A write of a lower class waits its turn: it was not overtaken, and goes on."""
     world = World().drives("a")
     earlier = world.submit("a", priority, writes=True, says="speed")
     assert world.schedule.next(0.0) is earlier
+    if was_said:
+        world.schedule.finished(earlier, 0.0, 0.0, reached=False)
     world.schedule.defer(earlier, 1.0, 0.0)
     goes_out(world, says="speed")
-    assert why_not(earlier) == (REPLACED if priority is P.CONTROL else "")
+    assert why_not(earlier) == why
 
 
 @pytest.mark.parametrize(

@@ -760,6 +760,27 @@ def test_drives_that_are_not_expected_back_forbid_nothing_until_they_are() -> No
         assert "drive quick" in world.schedule.never_beside_roster(long, {"slow"})
 
 
+def test_the_room_for_lost_answers_is_reckoned_beside_the_drives_that_count() -> None:
+    """A tenth of the shortest watchdog time is there for a stop: 0.05 s, and without `quick` 0.2 s.
+
+    That leaves 1.46 s of the 1.76 s without it, and 1.31 s if the tenth were that of `quick`.
+    """
+    faults = FaultHypothesis(1, stop_failed_s=0.5)
+    world = World().drives("quick", "slow", "c")
+    world.schedule.expect(faults, roster_of(faults, quick=0.5, slow=2.0))
+    long = world.request("c", cost_s=1.4, worst_s=1.5)
+    assert world.schedule.never_beside_roster(long, ()) != ""
+    assert world.schedule.never_beside_roster(long, {"quick"}) == ""
+
+
+def test_beside_the_roster_the_watchdog_of_the_drive_itself_counts_as_in_check() -> None:
+    faults = FaultHypothesis(1)
+    world = World().drives("a")
+    world.schedule.expect(faults, roster_of(faults, a=1.0))
+    assert world.schedule.never_beside_roster(world.request("a", worst_s=0.85), ()) == ""
+    assert world.schedule.never_beside_roster(world.request("a", worst_s=0.87), ()) != ""
+
+
 @pytest.mark.parametrize(
     ("documented", "fits"), [((0.3, 0.4), True), ((0.7, 0.8), False), (None, False)]
 )
