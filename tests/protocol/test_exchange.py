@@ -264,6 +264,15 @@ def test_a_nak_among_other_bytes_proves_nothing(data: bytes) -> None:
     assert given_up(exchange).answer is None
 
 
+def test_a_nak_after_rubbish_proves_nothing_even_after_a_pause() -> None:
+    exchange = begun()
+    assert exchange.feed(b"x", T0 + 0.010) is None
+    assert exchange.feed(NAK, T0 + 0.040) is None
+    result = given_up(exchange)
+    assert (result.kind, result.answer) == (ResultKind.GARBLED, None)
+    assert (result.late, result.others) == (1, (ACK_FIELD,))
+
+
 def test_a_nak_that_may_be_an_old_one_is_not_taken_for_a_reads_answer() -> None:
     exchange = Exchange(parity=False, echo=False)
     exchange.begin(ask(), T0, takes_nak=False)
@@ -288,6 +297,7 @@ def test_a_multicast_is_sent_when_its_time_is_over_and_nothing_answers_it() -> N
 def test_a_lost_line_ends_the_exchange_at_once() -> None:
     result = begun().lost(T0 + 0.01)
     assert (result.kind, result.ended_s) == (ResultKind.LOST, T0 + 0.01)
+    assert result.fault == "the line was lost during the exchange"
 
 
 def test_an_exchange_forgets_the_bytes_of_the_one_before() -> None:
@@ -396,6 +406,7 @@ def test_a_damaged_echo_is_a_fault_of_its_own_and_its_answer_is_not_used(place: 
     result = given_up(exchange)
     assert result.kind is ResultKind.ECHO
     assert "differs" in result.fault
+    assert result.received == damaged[place:] + ANSWER
 
 
 @pytest.mark.parametrize("count", range(len(SENT)))

@@ -96,6 +96,15 @@ def test_a_group_that_was_changed_has_its_writes_refused_and_its_stop_sent() -> 
     assert [sent.request for sent in world.sent] == [stop, to_other, alone]
 
 
+def test_a_write_to_a_group_of_which_a_drive_is_taken_out_ends_with_the_reason() -> None:
+    world = World().drives("a", "b", "c")
+    to_group = world.submit("both", P.CONTROL, writes=True, members=("a", "b"))
+    to_others = world.submit("others", P.CONTROL, writes=True, members=("b", "c"))
+    world.schedule.remove_drive("a", 0.0, "not in the roster any more")
+    assert world.outcome(to_group) == (Outcome.REFUSED, "not in the roster any more")
+    assert world.step() is to_others
+
+
 def test_a_telegram_to_a_group_that_was_chosen_beforehand_is_not_sent_when_it_was_changed() -> None:
     world = World().drives("a", "b")
     to_group = world.submit("both", P.CONTROL, writes=True, members=("a", "b"))

@@ -176,6 +176,22 @@ def test_a_watchdog_goes_before_what_was_foreseen_if_the_answer_takes_its_time()
     assert fed.drive == "a"
 
 
+@pytest.mark.parametrize("hold_s", [0.0, 0.5])
+def test_a_write_behind_which_its_drive_may_not_be_fed_in_time_is_not_foreseen(
+    hold_s: float,
+) -> None:
+    """Its feed goes first: that is seen when the line is free."""
+    world = World().drives("a")
+    world.feed("a", 1.0)
+    world.schedule.next(0.0)  # computes the bounds
+    write = world.submit("a", P.CONTROL, writes=True, hold_s=hold_s)
+    foreseen = world.schedule.look_ahead(None, 0.5, 0.5)
+    assert (foreseen is write) is (hold_s == 0.0)
+    chosen = world.schedule.next(0.5)
+    assert chosen is not None
+    assert (chosen is write) is (hold_s == 0.0)
+
+
 def test_a_stop_is_foreseen_whatever_else_waits() -> None:
     world, first = full_line()
     world.feed("b", 0.05)

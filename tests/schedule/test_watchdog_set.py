@@ -388,6 +388,27 @@ def test_what_can_never_fit_is_refused_with_figures() -> None:
     assert world.schedule.stats(0.0).refused[P.CONTROL] == 1
 
 
+@pytest.mark.parametrize(
+    ("other", "most_s", "whose"),
+    [
+        ({"time_s": 2.0}, HARD_PART * 1.0 - 2 * COST_S, "a"),
+        ({"time_s": 1.5, "cost_s": 0.3}, HARD_PART * 1.5 - 2 * (0.3 + COST_S), "b"),
+    ],
+    ids=["the shorter watchdog", "the longer feed"],
+)
+def test_most_fits_right_behind_a_round_of_feeds_the_longest_watchdog_first(
+    other: dict[str, float], most_s: float, whose: str
+) -> None:
+    world = World().drives("a", "b", "c")
+    world.feed("a", 1.0)
+    world.feed("b", **other)
+    asked = partial(world.request, "c", P.CONTROL)
+    assert world.schedule.never(asked(worst_s=most_s - 0.001)) == ""
+    reason = world.schedule.never(asked(worst_s=most_s + 0.001))
+    assert f"{most_s:.3f} s is the most" in reason
+    assert f"drive {whose}," in reason
+
+
 def test_thousands_that_never_fit_do_not_block_the_line() -> None:
     world = World().drives("a", "b")
     world.feed("a", 1.0)
@@ -427,6 +448,17 @@ def test_what_its_own_drives_watchdog_does_not_outlast_is_refused_with_figures(
             assert figure in reason
     assert {one.request.priority for one in world.sent} == {P.WATCHDOG}
     assert world.schedule.stats(10.0).feeds["a"].lapses == 0
+
+
+@pytest.mark.parametrize(("cost_s", "fits"), [(WORST_S, True), (1.01 * WORST_S, False)])
+def test_an_exchange_is_long_if_it_takes_longer_than_the_feed_of_its_drive_does_in_vain(
+    cost_s: float, fits: bool
+) -> None:
+    """Only then it must fit into the time of its own drive, besides that of the others."""
+    world = World().drives("a")
+    world.feed("a", 0.5)
+    asked = world.request("a", cost_s=cost_s, worst_s=0.6)
+    assert (world.schedule.never(asked) == "") is fits
 
 
 CLASSES = (P.CONTROL, P.INTERACTIVE, P.BACKGROUND)
@@ -543,6 +575,23 @@ def test_a_late_feed_is_one_miss_and_one_lapse_and_shows_in_the_margin() -> None
     assert feed.margin_last_s == pytest.approx(0.4, abs=0.0201)  # 1 s: over by 0.9, due at 0.6
 
 
+def test_the_least_margin_is_told_anew_after_each_look_and_kept_from_the_beginning() -> None:
+    world = World().drives("a")
+    world.feed("a", 2.0)
+    world.submit("a")
+    world.now_s = 1.2
+    world.step()
+    feed = world.schedule.stats(1.3).feeds["a"]
+    assert (feed.margin_since_s, feed.margin_least_s) == pytest.approx((0.8, 0.8))
+    assert math.isinf(world.schedule.stats(1.3).feeds["a"].margin_since_s)
+    world.submit("a")
+    world.now_s = 1.7
+    world.step()
+    feed = world.schedule.stats(1.8).feeds["a"]
+    assert (feed.margin_since_s, feed.margin_least_s) == pytest.approx((1.5, 0.8))
+    assert feed.paused is False
+
+
 def test_a_feed_of_a_held_drive_waits_and_others_go_on() -> None:
     world = World().drives("a", "b")
     world.feed("a", 1.0)
@@ -611,6 +660,20 @@ def test_a_drive_is_fed_before_room_made_for_it_leaves_none_for_the_stop_of_anot
     assert own(0.5, HARD_PART - behind_s + 0.001)
     assert not own(0.0, HARD_PART - behind_s + 0.001)
     assert not own(5.0, 0.0), "no room is kept for a stop that never has it"
+
+
+def test_a_drive_that_was_just_fed_lets_the_others_go_though_its_lost_answers_fill_its_time() -> (
+    None
+):
+    """Three of 0.3 s: it would be fed again and again, and room never made."""
+    feeds = WatchdogSet(FaultHypothesis(3))
+    for name in "ab":
+        feeding = WatchdogFeeding(1.0, partial(World().request, name, worst_s=0.3))
+        feeds.by_drive[name] = WatchdogDeadline(name, feeding, 0.0)
+    feeds.changed()
+    own, other = feeds.by_drive["a"], feeds.by_drive["b"]
+    assert feeds.own_before(COST_S - 0.001, other, "a") is None
+    assert feeds.own_before(COST_S + 0.001, other, "a") is own, "the other was fed in between"
 
 
 @pytest.mark.parametrize("hold_s", [0.0, 0.2])
