@@ -85,6 +85,7 @@ def is_found(name: str) -> bool:
     words = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
     words += ["--deselect", COUNTS_CALLS, *files_for(name)]
     env = os.environ | {"MUTANT_UNDER_TEST": name, "PYTHONPATH": "src:tests"}
+    env["PYTHONDONTWRITEBYTECODE"] = ""  # the mutants make modules long: they are compiled once
     try:
         ended = subprocess.run(
             words, cwd=TREE, env=env, timeout=SLOWEST_S, capture_output=True, check=False
