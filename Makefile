@@ -60,9 +60,11 @@ compare:
 	@scripts/venv dev
 	@PYTHONPATH=tests .venv/bin/python -m compare --base $(BASE) $(ARGS)
 
+# Without tests that Hypothesis draws: a branch that only they take comes and goes by chance.
 coverage:
 	@scripts/venv reliability
-	@.venv/bin/python -m coverage run -m pytest -q -p no:cacheprovider tests/protocol tests/schedule
+	@.venv/bin/python -m coverage run -m pytest -q -p no:cacheprovider \
+		-m "not hypothesis and not hardware and not long" tests/protocol tests/schedule
 	@.venv/bin/python -m coverage report
 
 golden:

@@ -3,9 +3,10 @@
     python -m mutation.run [--sample 200] [--seed 1] [--jobs 2] [MODULE ..]
 
 mutmut makes the mutants, in a copy of the tree in `.mutants/`; each is run here in a process of its
-own, with the tests of its room, the quick files first, until one of them fails. A mutant that makes
-a test hang counts as found. There are some 5,000, so a sample is drawn by the seed; `--sample 0`
-takes all, in a night. What was run is noted in `.mutants/results.jsonl`.
+own, with the tests of its room, those of its module first and then the quick files, until one of
+them fails. A mutant that makes a test hang counts as found. There are some 5,000, so a sample is
+drawn by the seed; `--sample 0` takes all, in a night. What was run is noted in
+`.mutants/results.jsonl`.
 """
 
 from __future__ import annotations
@@ -28,6 +29,16 @@ PLACE: Final = ROOT / ".mutants"
 TREE: Final = PLACE / "mutants"
 PROTOCOL: Final = "lecombus.fieldbus.lecom.protocol"
 QUICK: Final = ("request", "rare_ways", "drive_table", "classes", "health", "stops", "polling")
+SLOW: Final = ("watchdog_set", "simulation", "starvation", "any_line")
+TESTED_BY: Final = {
+    "addressing": "codes",
+    "arbiter": "lookahead",
+    "schedule": "rare_ways",
+    "stats": "polling",
+    "waiting": "stops",
+    "watchdog_deadline": "watchdog_set",
+}
+"""Modules without a file of tests that has their name."""
 SLOWEST_S: Final = 900
 GENERATE: Final = """
 from mutmut import __main__ as mutmut
@@ -55,11 +66,17 @@ def generate() -> list[str]:
 
 
 def files_for(name: str) -> list[str]:
-    """Return the files of tests for a mutant, the quick ones first."""
-    if name.startswith(PROTOCOL):
-        return ["tests/protocol"]
-    files = sorted((TREE / "tests/schedule").glob("test_*.py"))
-    files.sort(key=lambda file: not any(file.stem == f"test_{one}" for one in QUICK))
+    """Return the files of tests for a mutant: those of its module first, then the quick ones."""
+    room = "tests/protocol" if name.startswith(PROTOCOL) else "tests/schedule"
+    module = name.rpartition(".")[0].rpartition(".")[2]
+    own = f"test_{TESTED_BY.get(module, module)}"
+
+    def late(file: Path) -> tuple[bool, bool, bool]:
+        subject = file.stem.removeprefix("test_")
+        return file.stem != own, subject not in QUICK, subject in SLOW
+
+    files = sorted((TREE / room).glob("test_*.py"))
+    files.sort(key=late)
     return [str(file.relative_to(TREE)) for file in files]
 
 
@@ -68,6 +85,7 @@ def is_found(name: str) -> bool:
     words = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
     words += ["--deselect", COUNTS_CALLS, *files_for(name)]
     env = os.environ | {"MUTANT_UNDER_TEST": name, "PYTHONPATH": "src:tests"}
+    env["PYTHONDONTWRITEBYTECODE"] = ""  # the mutants make modules long: they are compiled once
     try:
         ended = subprocess.run(
             words, cwd=TREE, env=env, timeout=SLOWEST_S, capture_output=True, check=False

@@ -200,6 +200,31 @@ def test_an_answer_that_comes_in_is_waited_for_beyond_the_first_deadline() -> No
     assert result.kind is ResultKind.ANSWERED
 
 
+def test_after_an_answer_that_broke_off_the_whole_one_may_still_come() -> None:
+    exchange = begun()
+    assert exchange.feed(ANSWER[:4], T0 + 0.020) is None
+    result = trickle(exchange, ANSWER, 0.040)
+    assert result is not None
+    assert isinstance(result.answer, ValueAnswer)
+    assert (result.received, result.clean) == (ANSWER[:4], False)
+
+
+@pytest.mark.parametrize(
+    ("before", "fault"),
+    [(b"", "the answer broke off"), (b"x", "the answer is bad: unexpected")],
+    ids=["alone", "after rubbish"],
+)
+def test_an_acknowledgement_after_half_an_answer_proves_nothing(before: bytes, fault: str) -> None:
+    exchange = begun(ask(ACK_FIELD))
+    if before:
+        assert exchange.feed(before, T0 + 0.010) is None
+    assert exchange.feed(ANSWER[:4], T0 + 0.025) is None
+    assert exchange.feed(ACK, T0 + 0.040) is None
+    result = given_up(exchange)
+    assert (result.kind, result.fault) == (ResultKind.GARBLED, fault)
+    assert result.received == before + ANSWER[:4]
+
+
 def test_a_line_that_never_falls_silent_does_not_hold_the_exchange_for_ever() -> None:
     exchange = begun()
     exchange.feed(b"\x02", T0 + 0.050)
@@ -239,6 +264,15 @@ def test_a_nak_among_other_bytes_proves_nothing(data: bytes) -> None:
     assert given_up(exchange).answer is None
 
 
+def test_a_nak_after_rubbish_proves_nothing_even_after_a_pause() -> None:
+    exchange = begun()
+    assert exchange.feed(b"x", T0 + 0.010) is None
+    assert exchange.feed(NAK, T0 + 0.040) is None
+    result = given_up(exchange)
+    assert (result.kind, result.answer) == (ResultKind.GARBLED, None)
+    assert (result.late, result.others) == (1, (ACK_FIELD,))
+
+
 def test_a_nak_that_may_be_an_old_one_is_not_taken_for_a_reads_answer() -> None:
     exchange = Exchange(parity=False, echo=False)
     exchange.begin(ask(), T0, takes_nak=False)
@@ -263,6 +297,7 @@ def test_a_multicast_is_sent_when_its_time_is_over_and_nothing_answers_it() -> N
 def test_a_lost_line_ends_the_exchange_at_once() -> None:
     result = begun().lost(T0 + 0.01)
     assert (result.kind, result.ended_s) == (ResultKind.LOST, T0 + 0.01)
+    assert result.fault == "the line was lost during the exchange"
 
 
 def test_an_exchange_forgets_the_bytes_of_the_one_before() -> None:
@@ -371,6 +406,7 @@ def test_a_damaged_echo_is_a_fault_of_its_own_and_its_answer_is_not_used(place: 
     result = given_up(exchange)
     assert result.kind is ResultKind.ECHO
     assert "differs" in result.fault
+    assert result.received == damaged[place:] + ANSWER
 
 
 @pytest.mark.parametrize("count", range(len(SENT)))

@@ -79,6 +79,66 @@ def test_counts_wait_for_a_drive_that_is_not_fed_yet() -> None:
     assert watchdog(world).fed == fed
 
 
+def test_a_group_that_was_changed_has_its_writes_refused_and_its_stop_sent() -> None:
+    """At a reload: the name of the group means other drives now."""
+    world = World().drives("a", "b")
+    assert world.submit("a") is world.schedule.next(0.0)
+    to_group = world.submit("both", P.CONTROL, writes=True, members=("a", "b"))
+    put_off = world.request("both", P.INTERACTIVE, writes=True, members=("a", "b"))
+    world.schedule.again(put_off, 0.0, 1.0)
+    to_other = world.submit("all", P.CONTROL, writes=True, members=("a", "b"))
+    alone = world.submit("a", P.CONTROL, writes=True)
+    stop = world.submit("both", P.STOP, members=("a", "b"))
+    world.schedule.refuse_group("both", "the group both was changed")
+    for refused in (to_group, put_off):
+        assert world.outcome(refused) == (Outcome.REFUSED, "the group both was changed")
+    world.run(2.0)
+    assert [sent.request for sent in world.sent] == [stop, to_other, alone]
+
+
+def test_a_write_to_a_group_of_which_a_drive_is_taken_out_ends_with_the_reason() -> None:
+    world = World().drives("a", "b", "c")
+    to_group = world.submit("both", P.CONTROL, writes=True, members=("a", "b"))
+    to_others = world.submit("others", P.CONTROL, writes=True, members=("b", "c"))
+    world.schedule.remove_drive("a", 0.0, "not in the roster any more")
+    assert world.outcome(to_group) == (Outcome.REFUSED, "not in the roster any more")
+    assert world.step() is to_others
+
+
+def test_a_telegram_to_a_group_that_was_chosen_beforehand_is_not_sent_when_it_was_changed() -> None:
+    world = World().drives("a", "b")
+    to_group = world.submit("both", P.CONTROL, writes=True, members=("a", "b"))
+    assert world.schedule.look_ahead(None, 0.0, 0.0) is to_group
+    world.schedule.refuse_group("both", "the group both was changed")
+    assert world.schedule.planned(0.0) is None
+    assert world.step() is None
+
+
+@pytest.mark.parametrize("is_back", [False, True])
+def test_what_is_under_way_to_a_drive_that_is_taken_out_ends_behind_its_telegram(
+    is_back: bool,
+) -> None:
+    """A drive of the same name may be another device."""
+    world = World().drives("a")
+    reading, writing = world.submit("a"), world.submit("a", writes=True)
+    taken_up = [world.schedule.next(0.0)]
+    world.schedule.finished(reading, 0.0, 0.02, reached=False)
+    taken_up.append(world.schedule.next(0.02))
+    assert taken_up == [reading, writing]
+    world.schedule.remove_drive("a", 0.03, "gone")
+    if is_back:
+        world.schedule.add_drive("a")
+    world.schedule.finished(writing, 0.02, 0.04, reached=False)
+    world.schedule.again(reading, 0.04)
+    world.schedule.again(writing, 0.04)
+    assert world.outcome(reading) == (Outcome.REFUSED, "a was taken out of the roster")
+    outcome, reason = world.outcome(writing)
+    assert outcome is Outcome.UNKNOWN, "it may have been received"
+    assert reason.startswith("a was taken out of the roster; ")
+    world.now_s = 0.04
+    assert world.step() is None
+
+
 def test_a_drive_that_was_never_fed_leaves_nothing() -> None:
     world = World().drives("a")
     assert world.schedule.remove_drive("a", 0.0, "gone") is None

@@ -25,6 +25,15 @@ def line_of(world: World) -> Line:
 @settings(max_examples=40, deadline=None, phases=[Phase.generate])  # a seed cannot be shrunk
 @given(st.integers(min_value=0, max_value=2**32))
 def test_whatever_happens_the_line_is_the_same_with_rehearsals(seed: int) -> None:
+    same_with_rehearsals(seed)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_what_happened_before_leaves_the_line_the_same_with_rehearsals(seed: int) -> None:
+    same_with_rehearsals(seed)
+
+
+def same_with_rehearsals(seed: int) -> None:
     plain, rehearsed = Chaos(seed), Chaos(seed)
     rehearsed.world.rehearses = True
     worlds = plain.run(), rehearsed.run()
@@ -62,6 +71,17 @@ def loaded(seed: int, *, follows: bool) -> World:
 def test_what_is_begun_before_the_exchange_is_booked_is_what_would_have_been_begun_after_it(
     seed: int,
 ) -> None:
+    same_when_followed(seed)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_was_begun_before_the_exchange_was_booked_is_what_would_have_been_begun_after_it(
+    seed: int,
+) -> None:
+    same_when_followed(seed)
+
+
+def same_when_followed(seed: int) -> None:
     plain, followed = loaded(seed, follows=False), loaded(seed, follows=True)
     assert line_of(followed) == line_of(plain)
     assert followed.followed > len(followed.sent) / 4, "the plain case is the usual one"
@@ -154,6 +174,22 @@ def test_a_watchdog_goes_before_what_was_foreseen_if_the_answer_takes_its_time()
     fed = world.schedule.next(0.85)
     assert fed is not None
     assert fed.drive == "a"
+
+
+@pytest.mark.parametrize("hold_s", [0.0, 0.5])
+def test_a_write_behind_which_its_drive_may_not_be_fed_in_time_is_not_foreseen(
+    hold_s: float,
+) -> None:
+    """Its feed goes first: that is seen when the line is free."""
+    world = World().drives("a")
+    world.feed("a", 1.0)
+    world.schedule.next(0.0)  # computes the bounds
+    write = world.submit("a", P.CONTROL, writes=True, hold_s=hold_s)
+    foreseen = world.schedule.look_ahead(None, 0.5, 0.5)
+    assert (foreseen is write) is (hold_s == 0.0)
+    chosen = world.schedule.next(0.5)
+    assert chosen is not None
+    assert (chosen is write) is (hold_s == 0.0)
 
 
 def test_a_stop_is_foreseen_whatever_else_waits() -> None:

@@ -6,8 +6,13 @@ import pytest
 
 from lecombus.schedule import Outcome, Priority, Request
 from lecombus.schedule.queues import EMPTY_LIMIT
+from lecombus.schedule.request import QUEUED
 from lecombus.schedule.waiting import EXPIRE_BATCH
-from lecombus.schedule.watchdog_deadline import FaultHypothesis, WatchdogFeeding
+from lecombus.schedule.watchdog_deadline import (
+    SPARE_ATTEMPTS,
+    FaultHypothesis,
+    WatchdogFeeding,
+)
 from schedule.world import World
 
 P = Priority
@@ -148,6 +153,45 @@ def test_a_stop_feeds_its_own_late_drive_where_others_can_wait_for_it() -> None:
     world.schedule.hold("b", 8.66, 7.5)
     proof_wanted(world, "b", cost_s=0.5, worst_s=1.0)
     assert chosen(world) == ("b", P.STOP)
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_while_a_drive_that_is_stopped_is_left_alone_others_are_fed_in_its_place(
+    alone: bool,
+) -> None:
+    """Its own feed would keep its watchdog, but it is left alone after a write."""
+    faults = FaultHypothesis(tolerate=1, stop_s=0.1, stop_failed_s=0.3)
+    world = at_a_moment(0.87, {"a": (1.0, 0.0), "b": (1.0, 0.05)}, faults)
+    if alone:
+        world.schedule.hold("a", 0.92, world.now_s)
+    else:
+        world.schedule.watchdogs.by_drive["a"].failures = 1
+    stop = proof_wanted(world, "a", cost_s=0.3, worst_s=0.5)
+    assert chosen(world) == ("b" if alone else "a", P.WATCHDOG)
+    assert stop.state == QUEUED
+
+
+@pytest.mark.parametrize("until_s", [0.7, 0.85])
+def test_a_drive_that_is_gone_is_not_tried_while_those_to_feed_before_it_are_left_alone(
+    until_s: float,
+) -> None:
+    """Its vain attempt would make the other late: that is fed first, as soon as it may be."""
+    world = World(silent={"gone"}).drives("gone", "other")
+    world.feed("gone", 1.0, worst_s=0.4)
+    world.feed("other", 1.0)
+    for _ in range(SPARE_ATTEMPTS):
+        world.schedule.watchdogs.by_drive["gone"].failed(0.5)
+    world.schedule.watchdogs.by_drive["gone"].retry_at_s = 0.55
+    world.now_s = 0.6
+    world.schedule.hold("other", until_s, world.now_s)
+    assert world.step() is None
+    again_s = world.schedule.watchdogs.by_drive["gone"].retry_at_s
+    assert again_s == pytest.approx(min(until_s, 0.6 + 1.0 / 8)), "or an eighth of a watchdog time"
+    world.run(2.0)
+    first, second = world.sent[:2]
+    assert (first.request.drive, second.request.drive) == ("other", "gone")
+    assert first.at_s == pytest.approx(until_s, abs=1e-3)
+    assert world.schedule.stats(2.0).feeds["other"].lapses == 0
 
 
 def test_what_fits_by_the_manual_alone_waits_for_the_feeds_that_make_room() -> None:

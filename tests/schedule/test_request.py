@@ -7,7 +7,13 @@ from typing import Any
 import pytest
 
 from lecombus.schedule import Outcome, Priority, Request
-from lecombus.schedule.request import CLIENT_GONE, LEASE_ENDED
+from lecombus.schedule.request import (
+    CLIENT_GONE,
+    LEASE_ENDED,
+    OUTDATED,
+    REPLACED,
+    STOPPED,
+)
 from schedule.world import World
 
 
@@ -39,6 +45,24 @@ def test_a_lease_that_ended_keeps_writes_back_and_no_proof(attempts: int) -> Non
     assert wanted.why_unwanted(writes=True) == LEASE_ENDED
     assert wanted.why_unwanted(writes=False) == ""
     assert request(lease_ended=lambda: False).why_unwanted(writes=True) == ""
+
+
+def test_what_is_made_from_what_is_not_true_any_more_is_not_said_a_first_time() -> None:
+    wanted = request(is_outdated=lambda: True)
+    assert wanted.why_unwanted(writes=True) == OUTDATED
+    assert wanted.why_unwanted(writes=False) == OUTDATED
+    wanted.attempts = 1
+    assert wanted.why_unwanted(writes=True) == "", "a telegram of it may have been received"
+    assert request(is_outdated=lambda: False).why_unwanted(writes=True) == ""
+
+
+@pytest.mark.parametrize("why", [STOPPED, REPLACED])
+def test_an_overtaken_write_is_not_said_again_and_may_still_be_proven(why: str) -> None:
+    wanted = request(is_gone=lambda: True)
+    wanted.attempts = 1
+    wanted.overtaken = why
+    assert wanted.why_unwanted(writes=True) == why
+    assert wanted.why_unwanted(writes=False) == ""
 
 
 def test_time_outs_are_shortened_to_what_the_manual_allows_and_no_further() -> None:

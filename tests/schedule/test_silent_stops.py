@@ -127,6 +127,14 @@ def test_stops_of_drives_that_answer_go_before_those_of_silent_ones() -> None:
     assert [world.step(), world.step(), world.step()] == [alive, later, silent]
 
 
+def test_a_stop_that_waits_goes_behind_the_others_when_its_drive_does_not_answer_another() -> None:
+    world = World(silent={"a"}).drives("a", "b", "c")
+    first, waits = world.submit("a", P.STOP), world.submit("a", P.STOP)
+    others = [world.submit("b", P.STOP), world.submit("c", P.STOP)]
+    world.run(1.0)
+    assert [sent.request for sent in world.sent] == [first, *others, waits]
+
+
 def test_a_drive_that_answers_again_has_its_stop_said_at_once() -> None:
     world = World().drives("a", "b")
     world.feed("b", 1.0, worst_s=0.3)

@@ -96,6 +96,15 @@ class Chaos:
 @settings(max_examples=40, deadline=None, phases=[Phase.generate])  # a seed cannot be shrunk
 @given(st.integers(min_value=0, max_value=2**32))
 def test_what_always_holds(seed: int) -> None:
+    always_holds(seed)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_held_before_holds(seed: int) -> None:
+    always_holds(seed)
+
+
+def always_holds(seed: int) -> None:
     chaos = Chaos(seed)
     world = chaos.run()
     _each_ends_once(chaos, world)

@@ -388,6 +388,27 @@ def test_what_can_never_fit_is_refused_with_figures() -> None:
     assert world.schedule.stats(0.0).refused[P.CONTROL] == 1
 
 
+@pytest.mark.parametrize(
+    ("other", "most_s", "whose"),
+    [
+        ({"time_s": 2.0}, HARD_PART * 1.0 - 2 * COST_S, "a"),
+        ({"time_s": 1.5, "cost_s": 0.3}, HARD_PART * 1.5 - 2 * (0.3 + COST_S), "b"),
+    ],
+    ids=["the shorter watchdog", "the longer feed"],
+)
+def test_most_fits_right_behind_a_round_of_feeds_the_longest_watchdog_first(
+    other: dict[str, float], most_s: float, whose: str
+) -> None:
+    world = World().drives("a", "b", "c")
+    world.feed("a", 1.0)
+    world.feed("b", **other)
+    asked = partial(world.request, "c", P.CONTROL)
+    assert world.schedule.never(asked(worst_s=most_s - 0.001)) == ""
+    reason = world.schedule.never(asked(worst_s=most_s + 0.001))
+    assert f"{most_s:.3f} s is the most" in reason
+    assert f"drive {whose}," in reason
+
+
 def test_thousands_that_never_fit_do_not_block_the_line() -> None:
     world = World().drives("a", "b")
     world.feed("a", 1.0)
@@ -427,6 +448,17 @@ def test_what_its_own_drives_watchdog_does_not_outlast_is_refused_with_figures(
             assert figure in reason
     assert {one.request.priority for one in world.sent} == {P.WATCHDOG}
     assert world.schedule.stats(10.0).feeds["a"].lapses == 0
+
+
+@pytest.mark.parametrize(("cost_s", "fits"), [(WORST_S, True), (1.01 * WORST_S, False)])
+def test_an_exchange_is_long_if_it_takes_longer_than_the_feed_of_its_drive_does_in_vain(
+    cost_s: float, fits: bool
+) -> None:
+    """Only then it must fit into the time of its own drive, besides that of the others."""
+    world = World().drives("a")
+    world.feed("a", 0.5)
+    asked = world.request("a", cost_s=cost_s, worst_s=0.6)
+    assert (world.schedule.never(asked) == "") is fits
 
 
 CLASSES = (P.CONTROL, P.INTERACTIVE, P.BACKGROUND)
@@ -543,6 +575,23 @@ def test_a_late_feed_is_one_miss_and_one_lapse_and_shows_in_the_margin() -> None
     assert feed.margin_last_s == pytest.approx(0.4, abs=0.0201)  # 1 s: over by 0.9, due at 0.6
 
 
+def test_the_least_margin_is_told_anew_after_each_look_and_kept_from_the_beginning() -> None:
+    world = World().drives("a")
+    world.feed("a", 2.0)
+    world.submit("a")
+    world.now_s = 1.2
+    world.step()
+    feed = world.schedule.stats(1.3).feeds["a"]
+    assert (feed.margin_since_s, feed.margin_least_s) == pytest.approx((0.8, 0.8))
+    assert math.isinf(world.schedule.stats(1.3).feeds["a"].margin_since_s)
+    world.submit("a")
+    world.now_s = 1.7
+    world.step()
+    feed = world.schedule.stats(1.8).feeds["a"]
+    assert (feed.margin_since_s, feed.margin_least_s) == pytest.approx((1.5, 0.8))
+    assert feed.paused is False
+
+
 def test_a_feed_of_a_held_drive_waits_and_others_go_on() -> None:
     world = World().drives("a", "b")
     world.feed("a", 1.0)
@@ -611,6 +660,20 @@ def test_a_drive_is_fed_before_room_made_for_it_leaves_none_for_the_stop_of_anot
     assert own(0.5, HARD_PART - behind_s + 0.001)
     assert not own(0.0, HARD_PART - behind_s + 0.001)
     assert not own(5.0, 0.0), "no room is kept for a stop that never has it"
+
+
+def test_a_drive_that_was_just_fed_lets_the_others_go_though_its_lost_answers_fill_its_time() -> (
+    None
+):
+    """Three of 0.3 s: it would be fed again and again, and room never made."""
+    feeds = WatchdogSet(FaultHypothesis(3))
+    for name in "ab":
+        feeding = WatchdogFeeding(1.0, partial(World().request, name, worst_s=0.3))
+        feeds.by_drive[name] = WatchdogDeadline(name, feeding, 0.0)
+    feeds.changed()
+    own, other = feeds.by_drive["a"], feeds.by_drive["b"]
+    assert feeds.own_before(COST_S - 0.001, other, "a") is None
+    assert feeds.own_before(COST_S + 0.001, other, "a") is own, "the other was fed in between"
 
 
 @pytest.mark.parametrize("hold_s", [0.0, 0.2])
@@ -720,3 +783,113 @@ def test_after_a_lost_answer_a_longer_exchange_with_the_drive_leaves_room_for_th
     assert feeds.own_first(holds_s + 0.01, WORST_S + 0.05, "a") is own
     own.failures = faults.tolerate
     assert feeds.own_first(holds_s + 0.01, WORST_S + 0.05, "a") is None
+
+
+# ---- what is said of a request before it is asked for -------------------------------------------
+
+
+def roster_of(faults: FaultHypothesis, **times_s: float) -> WatchdogSet:
+    """The watchdogs that a roster names."""
+    feeds = WatchdogSet(faults)
+    for name, time_s in times_s.items():
+        feeding = WatchdogFeeding(time_s, partial(World().request, name))
+        feeds.by_drive[name] = WatchdogDeadline(name, feeding, 0.0)
+    return feeds
+
+
+def test_a_read_that_does_not_fit_beside_the_roster_is_known_to_before_it_is_asked_for() -> None:
+    faults = FaultHypothesis(1, stop_failed_s=0.5)
+    world = World().drives("a", "b", "c")
+    world.schedule.expect(faults, roster_of(faults, a=1.0, b=1.0))
+    most_s = HARD_PART - 3 * COST_S
+    longest_s = most_s - (0.5 - 0.1)
+    ask = partial(world.request, "c", worst_s=0.4)
+    assert world.schedule.never_beside_roster(ask(cost_s=longest_s - 0.001), ()) == ""
+    reason = world.schedule.never_beside_roster(ask(cost_s=longest_s + 0.001), ())
+    assert f"keep feeds waiting for {most_s + 0.001:.3f} s" in reason
+    assert f"{most_s:.3f} s is the most" in reason
+    assert "watchdog 1 s" in reason
+
+
+def test_drives_that_are_not_expected_back_forbid_nothing_until_they_are() -> None:
+    faults = FaultHypothesis(1, stop_failed_s=0.1)
+    world = World().drives("quick", "slow", "c")
+    world.schedule.expect(faults, roster_of(faults, quick=0.5, slow=2.0))
+    long = world.request("c", cost_s=0.6, worst_s=0.9)
+    for _ in range(2):
+        assert "drive quick, watchdog 0.5 s" in world.schedule.never_beside_roster(long, ())
+        assert world.schedule.never_beside_roster(long, {"quick"}) == ""
+        assert world.schedule.never_beside_roster(long, {"quick", "slow"}) == ""
+        assert "drive quick" in world.schedule.never_beside_roster(long, {"slow"})
+
+
+def test_the_room_for_lost_answers_is_reckoned_beside_the_drives_that_count() -> None:
+    """A tenth of the shortest watchdog time is there for a stop: 0.05 s, and without `quick` 0.2 s.
+
+    That leaves 1.46 s of the 1.76 s without it, and 1.31 s if the tenth were that of `quick`.
+    """
+    faults = FaultHypothesis(1, stop_failed_s=0.5)
+    world = World().drives("quick", "slow", "c")
+    world.schedule.expect(faults, roster_of(faults, quick=0.5, slow=2.0))
+    long = world.request("c", cost_s=1.4, worst_s=1.5)
+    assert world.schedule.never_beside_roster(long, ()) != ""
+    assert world.schedule.never_beside_roster(long, {"quick"}) == ""
+
+
+def test_beside_the_roster_the_watchdog_of_the_drive_itself_counts_as_in_check() -> None:
+    faults = FaultHypothesis(1)
+    world = World().drives("a")
+    world.schedule.expect(faults, roster_of(faults, a=1.0))
+    assert world.schedule.never_beside_roster(world.request("a", worst_s=0.85), ()) == ""
+    assert world.schedule.never_beside_roster(world.request("a", worst_s=0.87), ()) != ""
+
+
+@pytest.mark.parametrize(
+    ("documented", "fits"), [((0.3, 0.4), True), ((0.7, 0.8), False), (None, False)]
+)
+def test_beside_the_roster_a_request_counts_by_its_manual(
+    documented: tuple[float, float] | None, fits: bool
+) -> None:
+    """`check` has said so of the roster; what was measured may be wrong by now."""
+    faults = FaultHypothesis(1, stop_failed_s=0.3)
+    world = World().drives("a", "c")
+    world.schedule.expect(faults, roster_of(faults, a=1.0))
+    measured = world.request("c", cost_s=0.8, worst_s=1.2, documented=documented)
+    assert (world.schedule.never_beside_roster(measured, ()) == "") is fits
+
+
+def test_without_a_roster_everything_fits_beside_it() -> None:
+    world = World().drives("a", "c")
+    world.feed("a", 0.5)
+    world.schedule.expect(FaultHypothesis(1))
+    long = world.request("c", cost_s=5.0, worst_s=9.0)
+    assert world.schedule.never_beside_roster(long, ()) == ""
+    assert world.schedule.never(long) != ""
+
+
+def test_a_multicast_that_would_never_go_is_known_to_before_it_is_asked_for() -> None:
+    """Its members are then spoken to one by one."""
+    world = lost_stop_world()
+    longest_s = HARD_PART - 3 * COST_S - (0.5 - 0.1)
+    shared = partial(world.request, "both", P.CONTROL, members=("a", "b"), cost_s=COST_S)
+    assert world.schedule.never(shared(worst_s=longest_s - 0.001)) == ""
+    assert world.schedule.never(shared(worst_s=longest_s - 0.1, hold_s=0.099)) == ""
+    reason = world.schedule.never(shared(worst_s=longest_s - 0.1, hold_s=0.101))
+    assert "with the time its members are left alone" in reason
+    assert world.ended == [], "it was only asked"
+
+
+@pytest.mark.parametrize(
+    ("tolerate", "answered_s", "failed_s"), [(0, 0.0, 0.0), (1, 0.5, 0.1), (3, 0.7, 0.6)]
+)
+def test_room_is_kept_behind_an_exchange_for_the_answers_that_may_yet_be_lost(
+    tolerate: int, answered_s: float, failed_s: float
+) -> None:
+    """Behind one that is answered for all that are tolerated; its own lost answer is one of them.
+
+    The longest feed takes 0.1 s in vain, a stop 0.2 s and 0.6 s in vain; of that a tenth of the
+    shortest watchdog time, 0.1 s, is there to be used.
+    """
+    feeds = roster_of(FaultHypothesis(tolerate, stop_s=0.2, stop_failed_s=0.6), a=1.0, b=2.0)
+    feeds.changed()
+    assert feeds.behind_s() == pytest.approx((answered_s, failed_s))
