@@ -110,7 +110,7 @@ def test_json_is_printed_also_where_it_is_asked_for_before_the_stop(
 
 @pytest.mark.parametrize("topics", ["", "/", "a/", "/a", "a/+", "#"])
 def test_topics_that_are_none_are_refused(topics: str) -> None:
-    with pytest.raises(CommandError, match="no beginning of topics"):
+    with pytest.raises(CommandError, match="not the beginning of a topic"):
         broker_of(given(url="mqtt://a", topics=(topics,)))
 
 

@@ -231,7 +231,7 @@ def test_a_name_that_is_no_more_in_the_roster_is_right_where_it_has_rows(
 def test_a_count_that_is_none_is_told_with_its_bounds(run: Run, number: str) -> None:
     ran = run("journal", "--last", number)
     assert ran.status == 2
-    assert f"{number} is not a whole number of 1 to 500" in ran.err
+    assert f"{number} is not a whole number from 1 to 500" in ran.err
 
 
 @pytest.mark.parametrize(

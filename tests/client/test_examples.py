@@ -182,7 +182,7 @@ def test_without_a_daemon_an_example_ends_with_what_to_do(name: str, tmp_path: P
 @pytest.mark.parametrize(("words", "said"), [
     (["ramp_together.py", "5", "fedeer"], "fedeer"),
     (["log_to_csv.py", "values.csv", "fedeer/C0050"], "fedeer"),
-    (["log_to_csv.py", "values.csv", "feeder/speed"], "no code"),
+    (["log_to_csv.py", "values.csv", "feeder/speed"], "not a code"),
 ], ids=lambda one: one if isinstance(one, str) else " ".join(one))  # fmt: skip
 def test_what_the_daemon_refuses_ends_an_example_with_its_words(
     running: tuple[Daemon, PtyEnd], words: list[str], said: str, tmp_path: Path

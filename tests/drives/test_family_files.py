@@ -430,7 +430,7 @@ def test_a_configuration_adds_to_what_holds_for_all() -> None:
 BAD_WORDS = [
     ("configured_by: C0922\n", "", "family: test", "configured_by must name the code"),
     ("configured_by: C0922", "configured_by: C0999", "C0999", "C0999 is not described"),
-    ("[1xx1]", "[1yy1]", "1yy1", "no signal configuration such as 1xx1"),
+    ("[1xx1]", "[1yy1]", "1yy1", "not a signal configuration such as 1xx1"),
     ("{0: up}", "{7: up}", "{code: C0150, configuration", "bit 7 is not free"),
     ("free: [0, 1]", "free: [0, 7]", "7", "bit 7 has a meaning"),
     ("free: [0, 1]", "free: [0, 9]", "9", "bit 9 has a meaning"),

@@ -70,7 +70,7 @@ def test_a_good_table_says_what_it_says() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "there", "message"),
     [
-        ("control: C0135", "control: C0046", "C0046", "no control word with bits quick_stop"),
+        ("control: C0135", "control: C0046", "C0046", "not a control word with bits quick_stop"),
         ("control: C0135", "control: C0136", "C0136", "C0136 is not described"),
         ("for: [setpoint,", "for: [setpiont,", "setpiont", "setpiont is not known here"),
         ("code: C0001, values: [3]", "code: C0002, values: [3]", "C0002", "not described"),

@@ -410,7 +410,7 @@ def test_another_programs_database_is_left_alone(path: Path) -> None:
     with plain(path) as db:
         db.execute("CREATE TABLE pictures (name)")
     before = path.read_bytes()
-    with pytest.raises(JournalFileError, match="no journal of lecombus"):
+    with pytest.raises(JournalFileError, match="not a journal of lecombus"):
         opened(path)
     assert path.read_bytes() == before
 
@@ -418,7 +418,7 @@ def test_another_programs_database_is_left_alone(path: Path) -> None:
 @pytest.mark.parametrize("content", [b"key: value\n" * 1000, b"\0" * 5000], ids=["text", "zeros"])
 def test_a_file_that_is_none_of_ours_is_left_alone(path: Path, content: bytes) -> None:
     path.write_bytes(content)
-    with pytest.raises(JournalFileError, match="no journal of lecombus"):
+    with pytest.raises(JournalFileError, match="not a journal of lecombus"):
         opened(path)
     assert path.read_bytes() == content
 
@@ -457,11 +457,11 @@ def test_a_file_that_breaks_while_it_is_in_use_is_set_aside_at_the_next_attempt(
 
 def test_what_is_no_file_is_not_opened(path: Path) -> None:
     os.mkfifo(path)
-    with pytest.raises(JournalFileError, match="no regular file"):
+    with pytest.raises(JournalFileError, match="not a regular file"):
         opened(path)
     path.unlink()
     path.mkdir()
-    with pytest.raises(JournalFileError, match="no regular file"):
+    with pytest.raises(JournalFileError, match="not a regular file"):
         opened(path)
     with pytest.raises(JournalFileError, match="does not exist"):
         opened(path / "no" / "folder.sqlite")
