@@ -23,7 +23,6 @@ from lecombus.config import (
 )
 from lecombus.drive_state.drive_runtime import LineDrives
 from lecombus.drive_state.store import Store
-from lecombus.drives.family import ANSWER_FACTOR
 from lecombus.errors import ConfigError
 from lecombus.event_stream import EventStream
 from lecombus.fieldbus.costs import LineTiming
@@ -140,8 +139,7 @@ class LineRuntime:
     @property
     def longest_exchange_s(self) -> float:
         """A line task without progress for this long is stuck, seconds."""
-        slowest_s = max((drive.answer_time_s or 0.0 for drive in self.roster.drives), default=0.0)
-        return STUCK_S + ANSWER_FACTOR * slowest_s
+        return STUCK_S + self.roster.longest_wait_s
 
     def _snapshot(self) -> LineSnapshot:
         """Return what the metrics show of the line at this moment."""

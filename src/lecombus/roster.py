@@ -13,6 +13,7 @@ from typing import Final, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict
 
+from lecombus.drives.family import ANSWER_FACTOR
 from lecombus.drives.measured import SlowAnswers
 from lecombus.parameters import AddressForm, Code
 
@@ -417,7 +418,6 @@ class Roster(_Model):
         notify: What is sent to people; None: nothing.
         journal: The journal; None: none.
         state: The state file; None: nothing is kept.
-        not_yet_used: Keys that were given and checked but do nothing in this version.
     """
 
     file: str
@@ -433,7 +433,11 @@ class Roster(_Model):
     notify: NotifyEntry | None = None
     journal: JournalEntry | None = None
     state: str | None = None
-    not_yet_used: tuple[str, ...] = ()
+
+    @property
+    def longest_wait_s(self) -> float:
+        """How long a drive is waited for because the roster says so (`answer_time`), seconds."""
+        return ANSWER_FACTOR * max((one.answer_time_s or 0.0 for one in self.drives), default=0.0)
 
     def drive(self, name: str) -> DriveEntry | None:
         """Return a drive by its name."""

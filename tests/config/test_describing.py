@@ -7,7 +7,7 @@ import json
 import pytest
 
 from config.rosters import CONFIG, GOOD, drive_with, line_with, parsed, roster_with
-from lecombus.cli.check import gathered, pipe_rows
+from lecombus.cli.check import pipe_rows
 from lecombus.config import describe, line_timing, load_roster
 from lecombus.fieldbus.lecom.protocol.addressing import group_reach
 from support.golden import Golden
@@ -61,15 +61,6 @@ def test_a_description_is_json() -> None:
 
 def test_the_small_example_gives_no_cause_for_wonder() -> None:
     assert describe(load_roster(CONFIG / "small.yaml")).warnings == ()
-
-
-def test_what_does_nothing_yet_is_told_in_a_few_lines() -> None:
-    keys = describe(load_roster(CONFIG / "full.yaml")).not_yet_used
-    assert len(gathered(keys)) == len(keys) < 5
-    many = tuple(f"drives.infeed-{number}.lease" for number in range(1, 10))
-    assert "drives.infeed-1.lease and 8 more drives'" in gathered(many)[-1]
-    rows = pipe_rows(describe(load_roster(CONFIG / "full.yaml")), group_reach)
-    assert [row[1] for row in rows if row[0] == "unused"] == list(keys)
 
 
 SAFE = "watchdog: {time: 2s, action: inhibit, configure: true}"

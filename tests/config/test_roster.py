@@ -35,7 +35,7 @@ def test_what_is_not_written_has_the_documented_default() -> None:
     assert (line.turnaround_s, line.retries, line.late_answer_s) == (0.002, 2, 0.5)
     assert (line.absent_share, line.stall_s, line.adapter_latency_s) == (0.1, 30.0, None)
     assert (roster.api.socket, roster.api.http) == ("/run/lecombus/hall-3.sock", None)
-    assert (roster.on_shutdown, roster.lease, roster.not_yet_used) == ("nothing", LeaseEntry(), ())
+    assert (roster.on_shutdown, roster.lease) == ("nothing", LeaseEntry())
 
 
 @pytest.mark.parametrize("name", FAMILY_NAMES)
@@ -192,7 +192,6 @@ def test_no_key_is_left_that_does_nothing() -> None:
         "lease: {required: false}", "mqtt: {host: h, tls: no}", "api: {tokens: /t}",
     ).replace("family: smvector", "family: smvector\n    lease: {}")  # fmt: skip
     roster = parsed(text)
-    assert roster.not_yet_used == ()
     assert roster.mqtt is not None
     assert (roster.mqtt.port, roster.mqtt.tls) == (1883, False)
 

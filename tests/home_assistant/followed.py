@@ -8,7 +8,7 @@ from math import inf
 from typing import Any, Final
 
 from lecombus.bridges.line_follower import FollowedDrive, FollowedValue, LineFollower
-from lecombus.bridges.mqtt.devices import Devices
+from lecombus.bridges.mqtt.announced_devices import Devices
 from lecombus.bridges.mqtt.discovery import Discovery
 from lecombus.bridges.mqtt.topics import Topics
 from lecombus.client import Quality, Reading

@@ -101,15 +101,23 @@ def test_rules_of_the_file_hold_at_each_open(file: JournalFile, path: Path) -> N
     for _ in range(2):
         pragmas = {
             name: file.ask(methodcaller("pragma", name))
-            for name in ("journal_mode", "synchronous", "mmap_size", "locking_mode")
+            for name in ("journal_mode", "synchronous", "mmap_size", "locking_mode", "cache_size")
         }
         assert pragmas == {
             "journal_mode": "wal", "synchronous": 2, "mmap_size": 0, "locking_mode": "exclusive",
+            "cache_size": -512,
         }  # fmt: skip
         assert file.ask(lambda db: db.pragma("application_id")) == APPLICATION_ID
         file.close()
         file.open(1)
     assert path.stat().st_mode & 0o777 == 0o640
+
+
+def test_what_was_written_does_not_stay_in_memory(file: JournalFile) -> None:
+    before = apsw.status(apsw.SQLITE_STATUS_MEMORY_USED)[0]
+    for at in range(0, 20_000, 400):
+        assert file.write([row(at + number) for number in range(400)], [], 1)
+    assert apsw.status(apsw.SQLITE_STATUS_MEMORY_USED)[0] - before < 1_000_000
 
 
 def test_an_intent_without_an_end_is_unknown_after_the_next_start(path: Path) -> None:

@@ -37,7 +37,7 @@ __all__ = [
     "CommandWithNumbers",
     "DaemonOptions",
     "Given",
-    "Whole",
+    "WholeNumber",
     "Word",
     "check_port_options",
     "daemon_options",
@@ -139,7 +139,7 @@ class Word(click.ParamType[T]):
             self.fail(exc.message, param, ctx)
 
 
-class Whole(click.IntRange):
+class WholeNumber(click.IntRange):
     """A whole number between two bounds; what is none is told with the bounds."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:

@@ -40,7 +40,7 @@ from lecombus.backups import (
     wanted_codes,
     write_backup,
 )
-from lecombus.cli.arguments import CODES, DaemonOptions, Whole, daemon_options, wait_option
+from lecombus.cli.arguments import CODES, DaemonOptions, WholeNumber, daemon_options, wait_option
 from lecombus.cli.daemon_access import connected
 from lecombus.cli.drive_access import HttpDrive
 from lecombus.cli.exits import CommandError, Exit, Problem
@@ -204,7 +204,7 @@ def state_folder() -> Path:
 )
 @click.option(
     "--keep",
-    type=Whole(min=1),
+    type=WholeNumber(min=1),
     metavar="NUMBER",
     help="With --all: delete older files of a drive, so that so many stay; default: keep all.",
 )

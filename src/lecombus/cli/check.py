@@ -25,7 +25,7 @@ from lecombus.fieldbus.protocols import find
 from lecombus.roster import ApiEntry, Roster, TlsEntry
 from lecombus.tokens.token_file import read_tokens
 
-__all__ = ["check_command", "gathered", "pipe_rows"]
+__all__ = ["check_command", "pipe_rows"]
 
 Reach = Callable[[int], Sequence[int]]
 """Gives the addresses that a multicast to an address reaches."""
@@ -41,16 +41,14 @@ def check_command(roster: Path, as_json: bool) -> int:
 
     Mistakes go to standard error, one a line as FILE:LINE:COLUMN, and the exit status is 2.
     Without mistakes, the line, its drives, and the way in which stops and writes of each group
-    are sent are shown, with warnings and with keys that this version does not use yet. No port
-    is opened.
+    are sent are shown, with warnings. No port is opened.
 
     In a pipe each line begins with what it is: line (text, share of it that cyclic reads take),
     drive (name, address, family, watchdog, stop fallback, cyclic reads), group (name, how stops
-    go, how writes go, members), warning (text), unused (key that this version does not use yet).
+    go, how writes go, members), warning (text).
 
     With --json, on standard output: {"ok": false, "mistakes": [{"file", "line", "column", "what",
-    "right"}]} or {"ok": true, "file", "line", "cyclic_load", "drives", "groups", "warnings",
-    "not_yet_used"}.
+    "right"}]} or {"ok": true, "file", "line", "cyclic_load", "drives", "groups", "warnings"}.
     """
     try:
         loaded = load_roster(roster)
@@ -174,7 +172,6 @@ def pipe_rows(description: Description, reach: Reach) -> list[tuple[str, ...]]:
             for one in description.groups
         ),
         *(("warning", text) for text in description.warnings),
-        *(("unused", key) for key in description.not_yet_used),
     ]
 
 
@@ -190,8 +187,6 @@ def _show(description: Description, reach: Reach) -> None:
         rows.append((group.name, stops, how, ", ".join(group.members)))
     show_rows(("group", "stops go as", "writes go as", "members"), rows)
     for text in map(_warning, description.warnings):
-        click.echo(text)
-    for text in map(_unused, gathered(description.not_yet_used)):
         click.echo(text)
 
 
@@ -219,18 +214,3 @@ def _way(how: str, address: int | None, reach: Reach) -> str:
 
 def _warning(text: str) -> str:
     return f"warning: {text}"
-
-
-def _unused(key: str) -> str:
-    return f"not used by this version: {key} (checked, and kept for later)"
-
-
-def gathered(keys: tuple[str, ...]) -> list[str]:
-    """Put the keys of single drives into one text: 31 lines would hide the others."""
-    of_drives = [key for key in keys if key.startswith("drives.")]
-    if len(of_drives) < 2:
-        return list(keys)
-    others = [key for key in keys if key not in of_drives]
-    more = len(of_drives) - 1
-    of_more = "1 more drive's" if more == 1 else f"{more} more drives'"
-    return [*others, f"{of_drives[0]} and {of_more}"]

@@ -6,7 +6,7 @@ from functools import partial
 
 import click
 
-from lecombus.cli.arguments import CODE, DaemonOptions, Whole, Word, daemon_options
+from lecombus.cli.arguments import CODE, DaemonOptions, WholeNumber, Word, daemon_options
 from lecombus.cli.daemon_access import act, ask, drive_path, refuse_problem, show
 from lecombus.cli.document_rows import Document, cells_of, show_outcomes, status_of
 from lecombus.cli.exits import CommandError, Exit
@@ -104,7 +104,7 @@ def _confirm_identity(
 
 @click.command("readdress")
 @click.argument("drive")
-@click.argument("address", type=Whole(1, 99), metavar="NEW")
+@click.argument("address", type=WholeNumber(1, 99), metavar="NEW")
 @click.option("--yes", is_flag=True, help="Do it without asking.")
 @daemon_options
 def readdress_command(drive: str, address: int, yes: bool, daemon: DaemonOptions) -> int:

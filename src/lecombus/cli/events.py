@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from lecombus.cli.arguments import DURATION, DaemonOptions, Whole, daemon_options
+from lecombus.cli.arguments import DURATION, DaemonOptions, WholeNumber, daemon_options
 from lecombus.cli.daemon_access import command_errors, connected
 from lecombus.cli.document_rows import Document, cells_of, code_of, quality_of, value_of
 from lecombus.cli.exits import Exit
@@ -32,7 +32,7 @@ PATIENCE_S: Final = 60.0
     "--kind", "kinds", multiple=True, type=click.Choice(KINDS), help="Only events of this kind."
 )
 @click.option("--after", default="", metavar="ID", help="Begin behind this event (--json has ids).")
-@click.option("--count", type=Whole(min=1), help="End after so many events.")
+@click.option("--count", type=WholeNumber(min=1), help="End after so many events.")
 @click.option(
     "--wait",
     "patience_s",

@@ -18,7 +18,7 @@ from typing import Any, Final
 
 import click
 
-from lecombus.cli.arguments import DaemonOptions, Whole, Word, daemon_options
+from lecombus.cli.arguments import DaemonOptions, WholeNumber, Word, daemon_options
 from lecombus.cli.daemon_access import ask, show
 from lecombus.cli.document_rows import Document
 from lecombus.cli.exits import CommandError, Exit
@@ -62,7 +62,9 @@ def _time(word: str) -> str:
 
 @click.group("journal", invoke_without_command=True)
 @click.option("--since", type=Word("time", _time), help="From a local time on, or from 8h ago on.")
-@click.option("--last", type=Whole(1, PAGE), help="So many of the newest lines; with --json rows.")
+@click.option(
+    "--last", type=WholeNumber(1, PAGE), help="So many of the newest lines; with --json rows."
+)
 @click.option("--drive", default="", help="Only the rows of a drive and its groups, or of a group.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print CSV.")
 @click.option("--follow", is_flag=True, help="Print new rows as they come, until Ctrl-C.")

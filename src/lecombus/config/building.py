@@ -56,8 +56,6 @@ _BUILT = frozenset(
 """The keys of a roster that `build_roster` makes more of than their value."""
 _COMPLETED = frozenset({"addressing", "cyclic", "writable", "also_writable", "lease"})
 """The keys of a drive whose fields take more than the key itself; `_drive` makes these."""
-_NOT_YET_USED: tuple[str, ...] = ()
-"""Keys that are checked in this version, and do nothing."""
 
 
 def build_roster(roster: Fields, file: str) -> Roster:
@@ -72,7 +70,6 @@ def build_roster(roster: Fields, file: str) -> Roster:
         api=_api(roster.get("api"), line.name), mqtt=_mqtt(roster.get("mqtt")),
         modbus=_modbus(roster.get("modbus")), notify=_notify(roster.get("notify")),
         journal=_journal(roster.get("journal")), state=_state(roster.get("state"), line),
-        not_yet_used=_not_yet_used(roster),
     )  # fmt: skip
 
 
@@ -190,8 +187,3 @@ def _notify(entry: Fields | None) -> NotifyEntry | None:
 
 def _journal(entry: Fields | None) -> JournalEntry | None:
     return None if entry is None else JournalEntry(**_fields(entry))
-
-
-def _not_yet_used(roster: Fields) -> tuple[str, ...]:
-    """List the keys given that nothing in this version acts on."""
-    return tuple(key for key in _NOT_YET_USED if key in roster.values)

@@ -70,7 +70,6 @@ class Description:
         drives: The drives in the order of the file.
         groups: The groups, `all` first.
         warnings: What is valid but suspicious.
-        not_yet_used: Keys that this version checks but does not use.
     """
 
     file: str
@@ -79,7 +78,6 @@ class Description:
     drives: tuple[DescribedDrive, ...]
     groups: tuple[DescribedGroup, ...]
     warnings: tuple[str, ...]
-    not_yet_used: tuple[str, ...]
 
     def as_json(self) -> dict[str, Any]:
         """Return the description for `check --json`."""
@@ -97,7 +95,6 @@ def describe(roster: Roster) -> Description:
         drives=tuple(map(_drive, roster.drives)),
         groups=tuple(_group(name, group) for name, group in roster.groups.items()),
         warnings=tuple(find_warnings(roster)),
-        not_yet_used=roster.not_yet_used,
     )
 
 

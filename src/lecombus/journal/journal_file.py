@@ -37,6 +37,8 @@ VERSION: Final = 1
 MODE: Final = 0o640
 
 PAGE_BYTES: Final = 4096
+CACHE_KIB: Final = 512
+"""SQLite's usual 2 MiB are filled for half an hour by pages that were written and are not read."""
 RESERVE_PAGES: Final = 256
 """1 MiB."""
 CHECKPOINT_FRAMES: Final = 96
@@ -186,6 +188,7 @@ class JournalFile:
         db = self._db = apsw.Connection(str(self.path))
         db.pragma("locking_mode", "EXCLUSIVE")
         db.pragma("mmap_size", 0)
+        db.pragma("cache_size", -CACHE_KIB)
         kind, version = db.pragma("application_id"), db.pragma("user_version")
         has_tables = db.execute("SELECT count(*) FROM sqlite_schema").get
         if has_tables and kind != APPLICATION_ID:

@@ -24,10 +24,10 @@ import anyio
 import anyio.to_thread
 
 from lecombus.bridges.line_follower import LineFollower
+from lecombus.bridges.mqtt.announced_devices import Devices
 from lecombus.bridges.mqtt.board import Board
 from lecombus.bridges.mqtt.broker import Broker, BrokerError, Incoming, WillLimits, open_broker
 from lecombus.bridges.mqtt.commands import PULSE_EVERY_S, VERBS, Commands, Pulse
-from lecombus.bridges.mqtt.devices import Devices
 from lecombus.bridges.mqtt.discovery import Discovery
 from lecombus.bridges.mqtt.event_queue import EventQueue
 from lecombus.bridges.mqtt.retained import (
