@@ -32,15 +32,6 @@ from importlib import import_module
 for name in sys.argv[1:]:
     assert import_module(name).__file__.endswith(".so"), name
 """
-IMPORTS_ALL = """
-from importlib import import_module
-from pkgutil import walk_packages
-import lecombus
-names = [one.name for one in walk_packages(lecombus.__path__, "lecombus.")]
-for name in names:
-    import_module(name)
-print(len(names))
-"""
 USES = """
 import apsw, httptools, msgspec, pydantic, yaml
 asked = '''select json_extract('{"a": [1, 2]}', '$.a[1]'), 0.1 + 0.2'''
@@ -161,8 +152,6 @@ def test_a_line_runs(arm64: Arm64Root, tmp_path: Path) -> None:
         assert 'lecombus_drive_up{line="bench",drive="feeder"} 1' in page
 
 
-def test_every_module_of_the_program_is_imported(arm64: Arm64Root) -> None:
-    """With them all libraries, which the bridges and some commands import when they start."""
-    assert int(arm64.python(IMPORTS_ALL)) > 200
-    for bridge in ("modbus", "mqtt", "notify"):
-        assert f"lecombus bridge {bridge}" in arm64.lecombus("bridge", bridge, "--help")
+@pytest.mark.parametrize("bridge", ["modbus", "mqtt", "notify"])
+def test_the_bridges_start(arm64: Arm64Root, bridge: str) -> None:
+    assert f"lecombus bridge {bridge}" in arm64.lecombus("bridge", bridge, "--help")
