@@ -37,10 +37,8 @@ VERSION: Final = 1
 MODE: Final = 0o640
 
 PAGE_BYTES: Final = 4096
-CACHE_KIB: Final = 512
-"""SQLite's usual 2 MiB are filled for half an hour by pages that were written and are not read."""
-RESERVE_PAGES: Final = 256
-"""1 MiB."""
+CACHE_KIB: Final = 512  # the usual 2 MiB fill for half an hour with pages that nobody reads again
+RESERVE_PAGES: Final = 256  # 1 MiB
 CHECKPOINT_FRAMES: Final = 96
 """The WAL was made `RESERVE_PAGES` long, and starts again behind each checkpoint."""
 CUT_ROWS: Final = 400
