@@ -420,6 +420,7 @@ class LeaseChecks:
         if (code, text) == ((40, 0), "0"):
             return
         if self._is_unknown(one.changed_s, telegram.said_s):
+            one.moved_s = telegram.said_s  # it may have been allowed
             return
         why = self._why_not(one, asked, moving=moving, command=code in CONTROL)
         if why:
