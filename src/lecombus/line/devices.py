@@ -112,7 +112,19 @@ def _processes() -> Iterator[int]:
 
 
 def _has_open(pid: int, real: str) -> bool:
-    return any(target == real for _, target in _open_files(pid))
+    names = (number for number, target in _open_files(pid) if target == real)
+    return any(_is_here(pid, number, real) for number in names)
+
+
+def _is_here(pid: int, number: str, real: str) -> bool:
+    """Whether a pseudo terminal of this name is not that of a container, which has its own."""
+    try:
+        return (
+            not is_pseudo(real)
+            or Path(f"/proc/{pid}/fd/{number}").stat().st_dev == Path(real).stat().st_dev
+        )
+    except OSError:  # closed since
+        return False
 
 
 def _has_far_end(pid: int, index: str) -> bool:
