@@ -57,6 +57,28 @@ def test_whoever_has_the_far_end_of_a_pseudo_terminal_is_not_in_the_way() -> Non
         simulator.kill()
 
 
+def test_the_pseudo_terminal_of_the_same_name_in_a_container_is_another(terminal: str) -> None:
+    script = (
+        "import os, sys, pty\n"
+        "while True:\n"
+        "    far, near = pty.openpty()\n"
+        "    if os.ttyname(near) == sys.argv[1]: break\n"
+        "print(os.readlink(f'/proc/self/fd/{near}'), flush=True)\n"
+        "sys.stdin.read()"
+    )
+    own_terminals = "mount -t devpts -o newinstance,ptmxmode=0666 devpts /dev/pts && mount --bind"
+    words = f'{own_terminals} /dev/pts/ptmx /dev/ptmx && exec python3 -c "$1" "$2"'
+    with subprocess.Popen(
+        ["unshare", "-Urm", "sh", "-c", words, "sh", script, terminal],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    ) as container:  # fmt: skip
+        assert container.stdout is not None
+        assert container.stdout.readline().strip() == terminal
+        assert others_at(terminal) == ()
+        assert container.pid not in devices.holders(terminal)
+        container.kill()
+
+
 @pytest.mark.parametrize("port", ["socket://127.0.0.1:4001", "sim:", "/dev/none"])
 def test_what_is_no_device_is_held_by_none(port: str) -> None:
     assert others_at(port) == ()
