@@ -128,6 +128,11 @@ def test_the_password_is_the_first_line_of_its_file(tmp_path: Path) -> None:
     assert password_of(ENTRY) is None
     with pytest.raises(BrokerError, match="cannot be read"):
         password_of(entry)
+    file.write_text("secret word\n")
+    file.chmod(0o644)
+    with pytest.raises(BrokerError, match=r"all users may read .*: chmod o= "):
+        password_of(entry)
+    file.chmod(0o640)
     file.write_text("\nx")
     with pytest.raises(BrokerError, match="no password"):
         password_of(entry)
@@ -146,6 +151,10 @@ def test_files_of_tls_that_are_wrong_are_said(tmp_path: Path) -> None:
     made = make_certificates(tmp_path)
     assert tls_of(tls) is not None
     shows = {"certificate": str(made.path("plc.pem")), "key": str(made.path("ca.pem"))}
+    made.path("ca.pem").chmod(0o644)
+    with pytest.raises(BrokerError, match=r"all users may read .*ca\.pem: chmod o= "):
+        tls_of(tls.model_copy(update=shows))
+    made.path("ca.pem").chmod(0o600)
     with pytest.raises(BrokerError, match=r"plc\.pem"):
         tls_of(tls.model_copy(update=shows))
     shows["key"] = str(made.path("plc.key"))

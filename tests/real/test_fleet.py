@@ -274,8 +274,9 @@ def test_who_may_stop_is_decided_by_the_broker() -> None:
                 capture_output=True,
             )  # fmt: skip
         (folder / "access").write_text(ACCESS)
-        (folder / "secret").write_text("secret\n")
-        (folder / "wrong").write_text("wrong\n")
+        for name in ("secret", "wrong"):
+            (folder / name).touch(mode=0o600)
+            (folder / name).write_text(f"{name}\n")
         more = f"password_file {passwords}\nacl_file {folder / 'access'}"
         with broker(folder, more=more, anonymous=False) as hub:
             login = f", username: line, password_file: '{folder / 'secret'}'"

@@ -301,7 +301,9 @@ def written(client: MqttClient) -> list[str]:
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_tls_certificate_password_and_limits_of_a_real_broker(tmp_path: Path) -> None:
     made = make_certificates(tmp_path)
-    (tmp_path / "password").write_text("right\n")
+    for name in ("right", "wrong"):
+        (tmp_path / name).touch(mode=0o600)
+        (tmp_path / name).write_text(f"{name}\n")
     subprocess.run(
         [require("mosquitto_passwd"), "-b", "-c", tmp_path / "users", "hall-3", "right"],
         check=True, capture_output=True,
@@ -314,12 +316,11 @@ def test_tls_certificate_password_and_limits_of_a_real_broker(tmp_path: Path) ->
         right = MqttEntry(
             host="localhost", port=message_broker.port, ca=str(made.path("ca.pem")),
             certificate=str(made.path("plc.pem")), key=str(made.path("plc.key")),
-            username="hall-3", password_file=str(tmp_path / "password"),
+            username="hall-3", password_file=str(tmp_path / "right"),
         )  # fmt: skip
         limits, sent = anyio.run(connected, right)
         assert (limits.receive_maximum, limits.packet_bytes, limits.qos) == (3, 2000, 2)
         assert sent == [True, False]  # the second is larger than the broker takes
-        (tmp_path / "wrong").write_text("wrong\n")
         for key, file in (("password_file", "wrong"), ("certificate", None), ("ca", None)):
             given = {key: None if file is None else str(tmp_path / file)}
             if key == "certificate":

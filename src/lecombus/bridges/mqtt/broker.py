@@ -13,6 +13,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import ssl
+import stat
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
@@ -464,11 +465,12 @@ def password_of(entry: MqttEntry) -> str | None:
     """Return the password; read for each attempt, so that a new one counts.
 
     Raises:
-        BrokerError: Its file cannot be read.
+        BrokerError: Its file cannot be read, is empty, or all users may read it.
     """
     if entry.password_file is None:
         return None
     try:
+        check_secret(entry.password_file)
         lines = Path(entry.password_file).read_text().splitlines()
     except (OSError, ValueError) as exc:
         raise BrokerError(f"the password cannot be read: {exc}") from exc
@@ -477,11 +479,23 @@ def password_of(entry: MqttEntry) -> str | None:
     return lines[0]
 
 
+def check_secret(path: str) -> None:
+    """Refuse a file that all users of this computer may read.
+
+    Raises:
+        BrokerError: It is such.
+        OSError: There is no such file.
+    """
+    if Path(path).stat().st_mode & stat.S_IROTH:
+        raise BrokerError(f"all users may read {path}: chmod o= {path}")
+
+
 def tls_of(entry: MqttEntry) -> ssl.SSLContext | None:
     """Return what TLS trusts and shows; None: without TLS.
 
     Raises:
-        BrokerError: A file cannot be read, or holds no certificates or no key.
+        BrokerError: A file cannot be read, or holds no certificates or no key, or all users may
+            read the key.
     """
     if not entry.tls:
         return None
@@ -490,6 +504,8 @@ def tls_of(entry: MqttEntry) -> ssl.SSLContext | None:
         context = ssl.create_default_context(cafile=entry.ca)
         if entry.certificate is not None:
             file = entry.certificate
+            if entry.key is not None:
+                check_secret(entry.key)
             # A key with a password would ask for it at the terminal, and wait.
             context.load_cert_chain(entry.certificate, entry.key, password=lambda: "")
     except (OSError, ValueError) as exc:
