@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,8 @@ class Ran:
 
 Run = Callable[..., Ran]
 
+SetZone = Callable[[str], None]
+
 
 @pytest.fixture(autouse=True)
 def _no_daemon_of_this_machine(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -44,6 +47,19 @@ def run(capfd: pytest.CaptureFixture[str]) -> Run:
         return Ran(int(status), out, err)
 
     return run_command
+
+
+@pytest.fixture
+def set_zone() -> Iterator[SetZone]:
+    """Sets the local time zone, for this test only."""
+    with pytest.MonkeyPatch.context() as changed:
+
+        def change(zone: str) -> None:
+            changed.setenv("TZ", zone)
+            time.tzset()
+
+        yield change
+    time.tzset()  # reads the variable that stands there again
 
 
 @pytest.fixture

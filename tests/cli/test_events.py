@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from cli.conftest import Run
+from cli.conftest import Run, SetZone
 from cli.daemon_stub import DaemonStub
 from lecombus.cli import events, screen
 
@@ -81,9 +81,9 @@ def test_an_event_is_one_line_in_words(
 
 
 def test_on_a_terminal_it_has_columns_and_local_time(
-    run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch
+    run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch, set_zone: SetZone
 ) -> None:
-    monkeypatch.setenv("TZ", "UTC")
+    set_zone("UTC")
     monkeypatch.setattr(events, "on_terminal", lambda: True)
     monkeypatch.setattr(screen, "on_terminal", lambda: True)
     hostile = VALUE | {"drive": "fee\x1b[2Jder", "name": "bell\x07"}

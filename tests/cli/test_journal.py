@@ -5,13 +5,11 @@ from __future__ import annotations
 import csv
 import io
 import json
-import time
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
-from cli.conftest import Run
+from cli.conftest import Run, SetZone
 from cli.daemon_stub import DaemonStub
 from lecombus.cli.journal import no_formula
 from support.golden import Golden
@@ -48,12 +46,8 @@ def page(
 
 
 @pytest.fixture(autouse=True)
-def berlin(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    with monkeypatch.context() as changed:
-        changed.setenv("TZ", "Europe/Berlin")
-        time.tzset()
-        yield
-    time.tzset()
+def berlin(set_zone: SetZone) -> None:
+    set_zone("Europe/Berlin")
 
 
 def test_each_operation_is_one_line_by_its_end_or_as_asked(
@@ -76,10 +70,9 @@ def test_each_operation_is_one_line_by_its_end_or_as_asked(
     [("America/New_York", "2026-11-22 22:07:01.250"), ("UTC", "2026-11-23 03:07:01.250")],
 )
 def test_the_time_is_the_local_one_without_its_zone(
-    run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch, zone: str, time_there: str
+    run: Run, daemon: DaemonStub, set_zone: SetZone, zone: str, time_there: str
 ) -> None:
-    monkeypatch.setenv("TZ", zone)
-    time.tzset()
+    set_zone(zone)
     daemon.answers[LAST] = page(ROWS[:1])
     assert run("journal").out.partition("\t")[0] == time_there
 
@@ -252,15 +245,10 @@ def test_what_is_wrong_is_said(run: Run, daemon: DaemonStub, words: tuple[str, .
 
 
 def test_a_day_that_is_none_in_utc_is_no_time(
-    run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch
+    run: Run, daemon: DaemonStub, set_zone: SetZone
 ) -> None:
-    monkeypatch.setenv("TZ", "America/New_York")
-    time.tzset()
-    try:
-        ran = run("journal", "--since", "9999-12-31 23:59")
-    finally:
-        monkeypatch.undo()
-        time.tzset()
+    set_zone("America/New_York")
+    ran = run("journal", "--since", "9999-12-31 23:59")
     assert (ran.status, ran.out, daemon.asked) == (2, "", [])
     assert "9999-12-31 23:59 is no time" in ran.err
 
