@@ -53,6 +53,8 @@ FOLLOWS_S = 3.0
 """So long after a telegram a drive may still be doing what it was told: modules pass it on late."""
 SHOWN_S = 1.0
 """A remark follows what happened within this."""
+LOOK_AGAIN_S = 1.0
+"""What a drive does is seen within this, so that it is known behind which telegram it did it."""
 SETTLES_S = 6.0
 """A drive that came back is looked at, and its words are waited for, for less than this."""
 
@@ -191,6 +193,7 @@ class LeaseChecks:
         self._apart_s = 2.0 * max(self._watched_s.values(), default=0.0)
         self.counts = Counts()
         self._over = False
+        self._looked_s = -math.inf
 
     # -- what the controllers were answered --------------------------------------------------
 
@@ -465,6 +468,8 @@ class LeaseChecks:
         for name in names:
             if name in self._drives:
                 self._look_at(self._drives[name])
+        if self._clock() - self._looked_s >= LOOK_AGAIN_S:
+            self._look_at_all()  # the clients that call `look` may have ended
 
     def _has_own_stop(self, name: str) -> bool:
         return name in self._drives and self._drives[name].stops_open > 0
@@ -494,13 +499,20 @@ class LeaseChecks:
         elif free and one.moves[1] != before[1]:
             self._say(f"{one.name} took another setpoint while it is latched")
 
+    def _look_at_all(self) -> None:
+        """See it of every drive; one that hears nothing still carries out what it was told."""
+        self._looked_s = self._clock()
+        self._sim.advance(self._looked_s)
+        for one in self._drives.values():
+            self._look_at(one)
+
     def look(self) -> None:
         """Compare what is shown, and look for what was forgotten."""
         now_s = self._clock()
         self.advance(now_s)
         self._note_away(now_s)
+        self._look_at_all()
         for one in self._drives.values():
-            self._look_at(one)
             self._judge_remark(one, now_s)
             self._judge_running(one, now_s)
         for name, lapse in list(self._due.items()):
