@@ -9,8 +9,9 @@ clients that read, write and stop; and busy loops of lower priority on every cor
 are shown. It fails if
 
 * a watchdog of a drive acted, or the daemon says that it fed one too late;
-* memory of the daemon or a bridge grew by 1 % or more after the first ten minutes (shown only,
-  where it runs for less than twenty: caches and the buffer of events fill up at first);
+* memory of the daemon, or of daemon and bridges together, grew by 1 % or more after the first ten
+  minutes, or that of a bridge by 2 % (shown only, where it runs for less than twenty: caches and
+  the buffer of events fill up at first, and what a bridge keeps spreads over its heap for an hour);
 * threads grew by more than `SPARE`, or the journal beyond its largest size;
 * more than `SPARE` further descriptors are open when the clients have gone;
 * a request ended otherwise than documented;
@@ -63,6 +64,8 @@ SCRAPE_EVERY_S: Final = 5.0
 READERS: Final = 4
 SPARE: Final = 12
 GROWTH: Final = 0.01
+GROWTH_OF_BRIDGE: Final = 0.02
+DAEMON, TOGETHER = "daemon", "daemon and bridges"
 SETTLED_S: Final = 600.0
 
 
@@ -76,6 +79,12 @@ class Sample:
     threads: int
     journal_bytes: int
     bridges_kb: dict[str, int]
+
+    def memory_kb(self, of: str) -> int:
+        """Return what the daemon takes, a bridge, or all of them together."""
+        if of == TOGETHER:
+            return self.rss_kb + sum(self.bridges_kb.values())
+        return self.rss_kb if of == DAEMON else self.bridges_kb[of]
 
     @property
     def text(self) -> str:
@@ -101,15 +110,15 @@ def sample(pid: int, journal: Path, at_s: float, bridges: Mapping[str, int]) -> 
     return Sample(at_s, number(pid, "VmRSS"), len(files), number(pid, "Threads"), size, memory)
 
 
-def grown(samples: list[Sample], from_s: float, of: str = "") -> float:
+def grown(samples: list[Sample], from_s: float, of: str = DAEMON) -> float:
     """Return by what part memory grew: the median of the last fifth against that after `from_s`.
 
     Args:
         samples: All of them.
         from_s: Those before are left out.
-        of: A bridge; empty: the daemon.
+        of: `DAEMON`, `TOGETHER`, or a bridge.
     """
-    later = [one.bridges_kb[of] if of else one.rss_kb for one in samples if one.at_s >= from_s]
+    later = [one.memory_kb(of) for one in samples if one.at_s >= from_s]
     fifth = max(1, len(later) // 5)
     first, last = sorted(later[:fifth]), sorted(later[-fifth:])
     return last[len(last) // 2] / first[len(first) // 2] - 1.0
@@ -225,11 +234,13 @@ def judged(samples: list[Sample], from_s: float) -> list[str]:
     broken = []
     is_long = samples[-1].at_s >= 2 * from_s
     from_s = from_s if is_long else samples[-1].at_s / 2
-    for of in ("", *samples[0].bridges_kb):
-        growth, whose = grown(samples, from_s, of), of or "daemon"
-        print(f"memory of {whose}: grew by {growth:.2%} after {from_s / 60:.1f} min", flush=True)
-        if is_long and growth >= GROWTH:
-            broken.append(f"memory of {whose}: grew by {growth:.2%}")
+    for of in (DAEMON, TOGETHER, *samples[0].bridges_kb):
+        growth, most = grown(samples, from_s, of), GROWTH
+        if of in samples[0].bridges_kb:
+            most = GROWTH_OF_BRIDGE
+        print(f"memory of {of}: grew by {growth:.2%} after {from_s / 60:.1f} min", flush=True)
+        if is_long and growth >= most:
+            broken.append(f"memory of {of}: grew by {growth:.2%}")
     later = [one for one in samples if one.at_s >= from_s]
     if (most := max(one.threads for one in later)) > later[0].threads + SPARE:
         broken.append(f"threads grew to {most}")
