@@ -104,6 +104,7 @@ class _Drive:
     ran_out: int = 0  # lapses in which it was not given up
     stops_open: int = 0  # of the last lapse
     proven: bool = False
+    of_several: bool = False  # the stop is of several drives: not over when this one is proven
     away: bool = True
     away_s: float = -math.inf
     silent_from_s: float | None = None
@@ -270,6 +271,7 @@ class LeaseChecks:
             if lapsed or one.required:
                 one.latched, one.lapsed, one.changed_s, one.proven = True, True, at_s, False
                 one.lapses, one.stops_open = one.lapses + 1, 0
+                one.of_several = len(held.drives) > 1
                 one.ran_out += lapsed
                 self._carry_out(one, at_s, lapsed=lapsed)
 
@@ -316,7 +318,7 @@ class LeaseChecks:
                 one.proven = outcome is Outcome.VERIFIED
                 self.counts.stopped += one.proven
                 self._excuse(self._clock())
-                if one.proven:
+                if one.proven and not one.of_several:  # it may have been away behind its proof
                     one.away = False
 
         return ended
@@ -335,6 +337,8 @@ class LeaseChecks:
             self._say(f"{one.name} was stopped again for the same lapse")
         elif one.stops_open > 1 and not one.away:
             self._say(f"{one.name} was stopped twice for one lapse")
+        if one.proven:
+            one.of_several = False  # this is a further stop, of this drive alone
 
     # -- the wire ----------------------------------------------------------------------------
 

@@ -145,7 +145,9 @@ class Shown:
             self._say(f"the stop of {drive} is called verified, and it is not stopped")
         # Of a drive that was silent a proof takes several answers: with many lost, too long.
         tried = self._loses_many and outcome == Outcome.UNKNOWN and tried_s >= TRIED_S
-        if self._clean and drive not in self._left and outcome != Outcome.VERIFIED and not tried:
+        # Whoever enabled it while it was being proven took the stop back.
+        answers = self._clean and drive not in self._left and not self._is_enabled(drive)
+        if answers and outcome != Outcome.VERIFIED and not tried:
             self._say(f"the stop of {drive} ended as {outcome}, and it answers")
 
     # -- what passes -------------------------------------------------------------------------
