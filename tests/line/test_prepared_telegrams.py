@@ -7,7 +7,7 @@ import pytest
 from lecombus.drives import StopAction, WriteClass, family
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob, ReadJob, WriteJob
-from lecombus.fieldbus.lecom.exchanges.late_answers import PendingLateAnswers
+from lecombus.fieldbus.lecom.exchanges.late_answers import Duplicates, PendingLateAnswers
 from lecombus.fieldbus.lecom.exchanges.prepared_telegrams import PreparedTelegram, TelegramPreparer
 from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
 from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
@@ -30,7 +30,7 @@ def preparer(*doubtful: bytes) -> TelegramPreparer:
     late_answers = PendingLateAnswers(0.5)
     for field in doubtful:
         late_answers.add(field, 0.0)
-    return TelegramPreparer(TIMING, late_answers)
+    return TelegramPreparer(TIMING, late_answers, Duplicates())
 
 
 def ask(
@@ -89,7 +89,7 @@ def test_a_read_in_doubt_is_said_in_the_other_form_and_then_waits() -> None:
 
 def test_a_read_waits_for_the_form_that_is_free_first_and_no_longer() -> None:
     late_answers = PendingLateAnswers(0.5)
-    where, job = TelegramPreparer(TIMING, late_answers), ReadJob(station(), STATUS, 0)
+    where, job = TelegramPreparer(TIMING, late_answers, Duplicates()), ReadJob(station(), STATUS, 0)
     late_answers.add(field(STATUS), 0.0)
     assert ask(where, ReadJob(station(), Code(50), 0)).ask.field == field(Code(50))
     late_answers.add(field(STATUS, Form.EXTENDED), 0.2)

@@ -87,7 +87,8 @@ class StepKind(StrEnum):
 class JobStep(NamedTuple):
     """One exchange to be run: read `code`, in `form` if that is free, or write `value` to it.
 
-    Where `only` is set the read waits until its `form` is free.
+    Where `only` is set the read waits until its `form` is free. Where `apart` is set, and answers
+    come twice, it is not sent directly behind a question to another drive for the same answer.
     """
 
     kind: StepKind
@@ -95,6 +96,7 @@ class JobStep(NamedTuple):
     value: Value | None = None
     form: AddressForm | None = None
     only: bool = False
+    apart: bool = False
 
 
 class Job(Protocol):

@@ -210,7 +210,7 @@ class LecomExchangeLoop:
         late_s = options.late_answer_s if options.quarantine else 0.0
         self._latency_s = timing.adapter_latency_s
         self._late_answers = PendingLateAnswers(late_s)
-        self._preparer = TelegramPreparer(timing, self._late_answers)
+        self._preparer = TelegramPreparer(timing, self._late_answers, self.duplicates)
         self.exchange = Exchange(parity=True, echo=options.echo)
         self._deferred = DeferredReports()
         self._bus_idle = BusIdleTimer(options.turnaround_s)

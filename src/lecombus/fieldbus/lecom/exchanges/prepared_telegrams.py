@@ -25,7 +25,7 @@ from ..protocol.exchange import ACK_FIELD, Ask
 from ..protocol.parser import with_parity
 from ..protocol.telegrams import read_telegram, write_request_chars, write_telegram
 from .jobs import MulticastJob, ReadJob
-from .late_answers import PendingLateAnswers
+from .late_answers import Duplicates, PendingLateAnswers
 
 __all__ = ["PreparedTelegram", "TelegramPreparer"]
 
@@ -82,11 +82,15 @@ class TelegramPreparer:
     Args:
         timing: Baud rate and latencies.
         late_answers: Which answers may still come.
+        duplicates: From which drive each answer was requested last.
     """
 
-    def __init__(self, timing: LineTiming, late_answers: PendingLateAnswers) -> None:
+    def __init__(
+        self, timing: LineTiming, late_answers: PendingLateAnswers, duplicates: Duplicates
+    ) -> None:
         self._timing = timing
         self._late_answers = late_answers
+        self._duplicates = duplicates
         self._reads: dict[tuple[Station, Code], _Kept] = {}
         self._parity = True
         self.gap_s = 5.0 * timing.char_s + timing.adapter_latency_s
@@ -119,7 +123,7 @@ class TelegramPreparer:
         return self._write(job.station, step)
 
     def _read(self, job: Job, step: JobStep, now_s: float) -> PreparedTelegram | float:
-        prepared = self._free(job.station, step.code, now_s, step.form, only=step.only)
+        prepared = self._free(job.station, step.code, now_s, step)
         if type(prepared) is float and isinstance(job, ReadJob):
             for code in job.instead:
                 other = self._free(job.station, code, now_s)
@@ -133,19 +137,20 @@ class TelegramPreparer:
         station: Station,
         code: Code,
         now_s: float,
-        form: AddressForm | None = None,
-        *,
-        only: bool = False,
+        step: JobStep | None = None,
     ) -> PreparedTelegram | float:
         """Find the form in which a code may be read now; else the time when one may be used."""
         free_at_s = math.inf
         telegrams = self._of_read(station, code)
-        if form is not None:
-            field = encode_code(code, form)
+        if step is not None and step.form is not None:
+            field = encode_code(code, step.form)
             telegrams = tuple(sorted(telegrams, key=lambda one: one.ask.field != field))
-            telegrams = telegrams[:1] if only else telegrams
+            telegrams = telegrams[:1] if step.only else telegrams
         for prepared in telegrams:
             until_s = self._late_answers.blocked_until_s(prepared.ask.field, now_s)
+            if step is not None and step.apart:
+                apart_s = self._duplicates.apart_until_s(prepared.ask.field, station.name, now_s)
+                until_s = max(until_s, apart_s)
             if until_s <= now_s:
                 return prepared
             free_at_s = min(free_at_s, until_s)

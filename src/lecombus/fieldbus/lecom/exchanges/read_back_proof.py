@@ -120,7 +120,7 @@ class ReadBackProof:
         if not fields:
             fields = list(self._fields(station, what))
         _, code, form = min(fields, key=lambda one: other_s(one[0], station.name))
-        return JobStep(StepKind.READ, code, form=form)
+        return JobStep(StepKind.READ, code, form=form, apart=True)
 
     def take(
         self, station: Station, what: StopAction | WrittenValue, answer: ValueAnswer, code: Code
