@@ -97,6 +97,33 @@ def test_a_read_waits_for_the_form_that_is_free_first_and_no_longer() -> None:
     assert ask(where, job, 0.5).ask.field == field(STATUS)
 
 
+def proving(duplicates: Duplicates) -> StopJob:
+    """A quick stop that a multicast has sent: what comes next reads C0135."""
+    return StopJob(
+        station(), StopAction.QUICK_STOP, word=lambda: 0, retries=2, said=True,
+        duplicates=duplicates,
+    )  # fmt: skip
+
+
+def test_where_answers_come_twice_no_proof_is_read_directly_behind_another_drive_s() -> None:
+    """A copy of that one's answer would come when this one's is waited for (ADR 40)."""
+    duplicates, word = Duplicates(), Code(135)
+    where = TelegramPreparer(TIMING, PendingLateAnswers(0.5), duplicates)
+    apart_s = 0.06 + 20 * TIMING.char_s
+    duplicates.asked(field(word), "b", 1.0)
+    duplicates.asked(field(word, Form.EXTENDED), "c", 1.03)
+    assert ask(where, proving(duplicates), 1.05, urgent=True).ask.field == field(word)
+    duplicates.came(field(word), 1.05)
+    assert where.ask(proving(duplicates), 1.05, urgent=True) == pytest.approx(1.0 + apart_s)
+    assert ask(where, proving(duplicates), 1.0 + apart_s, urgent=True).ask.field == field(word)
+    duplicates.asked(field(word), "c", 1.1)
+    again = ask(where, proving(duplicates), 1.03 + apart_s, urgent=True)
+    assert again.ask.field == field(word, Form.EXTENDED)
+    duplicates.asked(field(word), "a", 1.5)  # the drive's own question keeps it from nothing
+    assert ask(where, proving(duplicates), 1.51, urgent=True).ask.field
+    assert isinstance(ask(where, ReadJob(station(), word, 0), 1.05), PreparedTelegram)
+
+
 def test_a_code_only_the_extended_form_can_say_waits_for_that() -> None:
     where, code = preparer(field(Code(39, 1), Form.EXTENDED)), Code(39, 1)
     assert where.ask(ReadJob(station(), code, 0), 0.1, urgent=False) == 0.5

@@ -155,10 +155,6 @@ COPY_S: Final = 3.0
 DOUBTED_S: Final = 60.0
 """For this long after a second answer, a single answer does not verify anything, seconds."""
 
-APART_S: Final = 0.08
-"""A second answer that comes directly behind the first is over so long after its question, at 9600
-bit/s and faster, seconds."""
-
 LATELY_S: Final = 0.3
 """Two drives at one address answer within this time of each other, seconds."""
 
@@ -199,10 +195,6 @@ class Duplicates:
     def may_be_anothers(self, field: bytes, drive: str, asked_s: float) -> bool:
         """Whether an answer that a drive was asked for may be the second one of another drive."""
         return self.doubtful(asked_s) and asked_s - self.other_s(field, drive) < COPY_S
-
-    def apart_until_s(self, field: bytes, drive: str, now_s: float) -> float:
-        """Return when an answer like this may be asked for, not directly behind another drive's."""
-        return self.other_s(field, drive) + APART_S if self.doubtful(now_s) else now_s
 
     def came(self, field: bytes, at_s: float) -> None:
         """Record an answer without an open request."""

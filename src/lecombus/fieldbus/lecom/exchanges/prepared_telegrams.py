@@ -29,6 +29,11 @@ from .late_answers import Duplicates, PendingLateAnswers
 
 __all__ = ["PreparedTelegram", "TelegramPreparer"]
 
+APART_S = 0.06
+APART_CHARS = 20
+"""How long after its question a second answer comes, seconds and characters, if it comes directly
+behind the first: the question, some 20 ms of processing, the answer, and some 20 ms."""
+
 MAX_CACHED = 8192
 """Reads whose questions are kept; a line has at most 90 drives with some ten codes each."""
 
@@ -93,6 +98,7 @@ class TelegramPreparer:
         self._duplicates = duplicates
         self._reads: dict[tuple[Station, Code], _Kept] = {}
         self._parity = True
+        self._apart_s = APART_S + APART_CHARS * timing.char_s
         self.gap_s = 5.0 * timing.char_s + timing.adapter_latency_s
 
     def opened(self, *, parity: bool) -> None:
@@ -148,9 +154,9 @@ class TelegramPreparer:
             telegrams = telegrams[:1] if step.only else telegrams
         for prepared in telegrams:
             until_s = self._late_answers.blocked_until_s(prepared.ask.field, now_s)
-            if step is not None and step.apart:
-                apart_s = self._duplicates.apart_until_s(prepared.ask.field, station.name, now_s)
-                until_s = max(until_s, apart_s)
+            if step is not None and step.apart and self._duplicates.doubtful(now_s):
+                other_s = self._duplicates.other_s(prepared.ask.field, station.name)
+                until_s = max(until_s, other_s + self._apart_s)
             if until_s <= now_s:
                 return prepared
             free_at_s = min(free_at_s, until_s)
