@@ -100,6 +100,7 @@ class Shown:
         self._powerless: set[str] = set()  # lost their supply and are not known to be back
         self._left: set[str] = set()
         self._enabled_s: dict[str, float] = {}
+        self._enable_asked_s: dict[str, float] = {}
         self._proven: dict[str, bool] = {}
         self._proven_s: dict[str, float] = {}
         self._leased = line.leased
@@ -119,6 +120,7 @@ class Shown:
     def enable_asked(self, drive: str) -> None:
         """Somebody wants a drive to run."""
         self._enabling[drive] = self._enabling.get(drive, 0) + 1
+        self._enable_asked_s[drive] = self._clock()
 
     def enable_ended(self, drive: str) -> None:
         """That has its outcome."""
@@ -145,8 +147,9 @@ class Shown:
             self._say(f"the stop of {drive} is called verified, and it is not stopped")
         # Of a drive that was silent a proof takes several answers: with many lost, too long.
         tried = self._loses_many and outcome == Outcome.UNKNOWN and tried_s >= TRIED_S
-        # Whoever enabled it while it was being proven took the stop back.
-        answers = self._clean and drive not in self._left and not self._is_enabled(drive)
+        # An enable that is asked for while the stop is being proven takes it back.
+        is_taken_back = self._enable_asked_s.get(drive, -math.inf) >= asked_s
+        answers = self._clean and drive not in self._left and not is_taken_back
         if answers and outcome != Outcome.VERIFIED and not tried:
             self._say(f"the stop of {drive} ended as {outcome}, and it answers")
 
