@@ -28,6 +28,8 @@ LONGER = {
     "src/lecombus/bridges/mqtt/broker.py",
     "src/lecombus/daemon.py",
     "src/lecombus/fieldbus/lecom/exchanges/exchange_loop.py",
+    "src/lecombus/fieldbus/lecom/exchanges/stop_job.py",
+    "src/lecombus/fieldbus/lecom/simulator/line.py",
     "src/lecombus/journal/journal.py",
     "src/lecombus/roster.py",
     "src/lecombus/schedule/watchdog_set.py",

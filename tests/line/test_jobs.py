@@ -261,6 +261,40 @@ def test_an_inhibit_is_said_and_read_back() -> None:
     assert "C0150 reads H0080" in reason
 
 
+def test_a_stop_is_not_proven_where_others_are_asked_for_the_same_all_the_time() -> None:
+    """Where second answers come, a reading waits a second for a pause; then it proves nothing."""
+    duplicates = doubted()
+    job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=2, duplicates=duplicates)
+    job.advance(RESULTS["ack"])
+    verdict, now_s = None, 0.0
+    while verdict is None:
+        now_s += 0.03
+        if job.step.kind is StepKind.WRITE:
+            result: Result = RESULTS["ack"]
+        elif job.step.apart and job.instead_of_reading_s(now_s, now_s) is None:
+            continue
+        else:
+            assert not job.step.apart
+            result = value(150, "H0080")
+        verdict = job.advance(dataclasses.replace(result, started_s=now_s, ended_s=now_s + 0.01))
+    assert 5.0 < now_s < 7.0
+    assert verdict[0] is UNKNOWN
+    assert "other drives are asked for C0150 all the time" in verdict[1]
+
+
+def test_a_stop_that_waits_for_a_pause_is_not_sent_again_and_is_proven_in_it() -> None:
+    job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=2)
+    job.advance(RESULTS["ack"])
+    assert job.instead_of_reading_s(1.0, 1.0) is None
+    assert job.step.apart
+    assert (job.advance(value(150, "H0080")) or (None,))[0] is VERIFIED
+
+
+def test_the_reading_back_of_a_write_is_kept_apart_too() -> None:
+    job = ReadBackJob(STATION, WrittenValue(CODE, Value.parse("7.0")), 2, doubted())
+    assert job.step.apart
+
+
 def test_more_proof_of_a_stop_takes_the_time_of_a_reading_and_a_repetition_that_of_a_stop() -> None:
     times = LongestTimes(any_s=0.5, read_s=0.1)
     job = StopJob(

@@ -109,19 +109,24 @@ def test_where_answers_come_twice_no_proof_is_read_directly_behind_another_drive
     """A copy of that one's answer would come when this one's is waited for (ADR 40)."""
     duplicates, word = Duplicates(), Code(135)
     where = TelegramPreparer(TIMING, PendingLateAnswers(0.5), duplicates)
-    apart_s = 0.06 + 20 * TIMING.char_s
-    duplicates.asked(field(word), "b", 1.0)
-    duplicates.asked(field(word, Form.EXTENDED), "c", 1.03)
+    apart_s = 0.04 + 20 * TIMING.char_s
+
+    def asked(form: Form, drive: str, ended_s: float) -> None:
+        duplicates.asked(field(word, form), drive, ended_s - 0.3)
+        duplicates.ended(field(word, form), ended_s)
+
+    asked(Form.STANDARD, "b", 1.0)
+    asked(Form.EXTENDED, "c", 1.03)
     assert ask(where, proving(duplicates), 1.05, urgent=True).ask.field == field(word)
     duplicates.came(field(word), 1.05)
     assert where.ask(proving(duplicates), 1.05, urgent=True) == pytest.approx(1.0 + apart_s)
     assert ask(where, ReadJob(station(), word, 0), 1.05).ask.field == field(word), "no proof"
     assert ask(where, proving(duplicates), 1.0 + apart_s, urgent=True).ask.field == field(word)
-    duplicates.asked(field(word), "c", 1.1)
+    asked(Form.STANDARD, "c", 1.1)
     again = ask(where, proving(duplicates), 1.03 + apart_s, urgent=True)
     assert again.ask.field == field(word, Form.EXTENDED)
     for form in Form:  # the drive's own questions keep it from nothing: one of both is sent
-        duplicates.asked(field(word, form), "a", 1.5)
+        asked(form, "a", 1.5)
     ask(where, proving(duplicates), 1.51, urgent=True)
 
 

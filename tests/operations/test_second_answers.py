@@ -13,6 +13,7 @@ import pytest
 
 from lecombus.drive_state.readings import LineState
 from lecombus.drives import StopAction
+from lecombus.fieldbus.lecom.simulator.families.f82xx import Vector8200
 from lecombus.fieldbus.lecom.simulator.faults import parse_faults
 from lecombus.operations.operation_reports import GroupReport
 from lecombus.parameters import Code
@@ -24,7 +25,13 @@ FAMILIES = ("8200vector", "821x", "822x", "smvector", "93xx", "8200vector", "820
 DRIVES = [(f"d{n}", 11 + n, family) for n, family in enumerate(FAMILIES)]
 DEAD = ("d3", "d5")
 
-DOUBLES = ["double=1:20ms-3s", "double=1:20ms-500ms", "double=0.5:10ms-100ms", "twins=13"]
+TWINS = {"twins=13": ["d2"]}
+"""Faults by which two drives have one address, and whose stops cannot be verified."""
+
+DOUBLES = [
+    "double=1:20ms-3s", "double=1:20ms-500ms", "double=0.5:10ms-100ms",
+    "double=1:6ms-18ms,eot-drops-writes", *TWINS,
+]  # fmt: skip
 
 
 async def some_die(plant: Plant, faults: str, for_s: float) -> None:
@@ -55,12 +62,57 @@ def stopped(faults: str, seed: int, action: StopAction, dead_for_s: float) -> Gr
 def test_a_dead_drive_is_never_said_to_be_stopped(
     faults: str, action: StopAction, dead_for_s: float
 ) -> None:
+    unproven = set[tuple[int, str]]()
     for seed in range(3):
         report = stopped(faults, seed, action, dead_for_s)
         ended = {one.drive: one.outcome for one in report.members}
         assert not [name for name in DEAD if ended[name] is Outcome.VERIFIED], (seed, report)
-        living = [name for name in ended if name not in DEAD and ended[name] is Outcome.VERIFIED]
-        assert len(living) == len(DRIVES) - len(DEAD), (seed, report)
+        doubted = {name for name in ended if ended[name] is not Outcome.VERIFIED}
+        unproven |= {(seed, name) for name in doubted - {*DEAD, *TWINS.get(faults, [])}}
+    assert len(unproven) <= ("drops" in faults), unproven  # a living one may stay unknown
+
+
+@pytest.mark.parametrize("action", StopAction)
+def test_of_two_drives_at_one_address_none_is_said_to_be_stopped(action: StopAction) -> None:
+    """The answer of one does not show that the other has stopped."""
+    report = stopped("twins=13", 0, action, 30.0)
+    (shared,) = [one for one in report.members if one.drive == "d2"]
+    assert shared.outcome is Outcome.UNKNOWN
+    assert "two drives at address 13? second answers come after its own" in shared.reason
+
+
+SLOW = roster_text(
+    [(f"d{n}", 11 + n, "8200vector") for n in range(8)],
+    drive="answer_time: 80ms, addressing: standard",
+)  # fmt: skip
+
+
+def test_no_running_slow_drive_is_said_to_be_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their answers come when a pause since the question of the one before would be over."""
+    taken: list[str] = []
+
+    def stop_all(seed: int) -> None:
+        async def test(plant: Plant) -> None:
+            await plant.online(within_s=600.0)
+            for name in (f"d{n}" for n in range(8)):
+                plant.line[name].model.write_control_word("H0000")
+            plant.line.faults = parse_faults("double=1:6ms-18ms,eot-drops-writes")
+            await anyio.sleep(2.0)
+            for n in (0, 2):
+                plant.line[f"d{(3 * seed + n) % 8}"].present = False
+            report = await plant.site.operations.stop(StopAction.QUICK_STOP, "all")
+            for one in report.members:
+                model = plant.line[one.drive].model
+                if one.outcome is Outcome.VERIFIED:
+                    assert model.pulses_off() or model.stop_wanted(), (seed, one)
+                    taken.append(one.drive)
+
+        with_plant(test, SLOW, seed=seed)
+
+    monkeypatch.setattr(Vector8200, "think_s", lambda *_a, **_k: 0.07)
+    for seed in (20, 38, 42, 47):  # in each of them one was, of 60 that were tried
+        stop_all(seed)
+    assert len(taken) == 4 * 6, "every living drive was verified"
 
 
 WORDS = roster_text(

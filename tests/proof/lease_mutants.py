@@ -160,7 +160,7 @@ LEASE_MUTANTS: dict[str, Mutant] = {
         "place",
         "self.yields(request)",
         "request.drive in self.silent",
-        (11, 23),
+        (35,),
         leased=True,
     ),
     "its own drive's watchdog is left out of the check of a long exchange": Mutant(

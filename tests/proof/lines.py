@@ -287,6 +287,8 @@ def _faults(random: Random, more: Random) -> str:
         found.append(f"{name}={more.uniform(0, 0.05):.3f}{delay}")
     if more.random() < 0.3:
         found.append("nak_reads")
+    if len(found) % 2:  # half of the lines, and no draw changes what else they are
+        found.append("eot_drops_writes")
     return ",".join(found)
 
 

@@ -25,6 +25,7 @@ from lecombus.fieldbus.loop_interface import (
     Observer,
     OpenConnection,
     ResultKind,
+    SecondAnswerCount,
     WorkerOptions,
 )
 from lecombus.fieldbus.port import Framing, Parity, Port, PortOpener, PortSettings, Receiver
@@ -189,8 +190,8 @@ class ToyLoop:
     def stop_came(self) -> None:
         pass  # `nudge` comes next, and an exchange is short
 
-    def second_answers(self, now_s: float) -> tuple[int, dict[str, int]]:
-        return 0, {}
+    def second_answers(self, now_s: float) -> SecondAnswerCount:
+        return SecondAnswerCount(0, {})
 
     def lost(self, exc: Exception | None) -> None:
         self._connection.note_loss(exc)

@@ -48,9 +48,9 @@ class SecondAnswers:
 
     def look(self, own: OwnLine, baud: int) -> None:
         """Take what the line has counted by now; it keeps a minute of that."""
-        count, alone = own.worker.exchange_loop.second_answers(anyio.current_time())
-        self.most = max(self.most, count)
-        for name, number in alone.items():
+        found = own.worker.exchange_loop.second_answers(anyio.current_time())
+        self.most = max(self.most, found.total)
+        for name, number in found.alone.items():
             place = int(name.rpartition(" ")[2]), baud  # `read_address` says `address 12`
             self.behind[place] = max(self.behind.get(place, 0), number)
 

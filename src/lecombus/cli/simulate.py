@@ -70,6 +70,8 @@ def simulate_command(
     request-noise, damaged (the drive notices and says so), late (:TIME), double (:TIME; an answer
     comes twice), noise, bad-bcc, parity, half, endless, nak, power-cycle (:TIME), bad-echo; and
     echo, unplugged, nak-reads (NAK to a read that cannot be carried out, as some devices do),
+    eot-drops-writes (a drive takes a write at the end of its processing time, or not at all if a
+    new telegram begins before that; else it takes a write when it has heard it),
     absent=ADDRESS+ADDRESS, twins=ADDRESS (two drives have it), trip=ADDRESS:NUMBER[:stays]: that
     drive has this fault from the start, and with `stays` no reset helps.
 

@@ -28,7 +28,7 @@ from __future__ import annotations
 from collections.abc import Awaitable, Mapping
 from dataclasses import dataclass
 from enum import Enum, StrEnum
-from typing import Protocol
+from typing import Final, NamedTuple, Protocol
 
 from lecombus.errors import LineLostError
 from lecombus.fieldbus.port import Port, Receiver
@@ -189,8 +189,41 @@ class WorkerOptions:
     quarantine: bool = True
 
 
-SecondAnswerCount = tuple[int, Mapping[str, int]]
-"""How many second answers came within the last minute, and behind whose answers alone."""
+LEAST_SECOND_ANSWERS: Final = 3
+"""Fewer second answers than this within a minute mean nothing."""
+
+PART_OF_KNOWN: Final = 2 / 3
+PART_OF_ALL: Final = 1 / 3
+"""Where two drives have one address, so many of those whose drive is known, and of all, come after
+its answers. What only one drive is asked for is known to be its own also where all come twice."""
+
+
+class SecondAnswerCount(NamedTuple):
+    """Answers of the last minute that no question was open for.
+
+    Args:
+        total: How many.
+        alone: Of those that can only belong to one drive, how many came after its answers.
+    """
+
+    total: int
+    alone: Mapping[str, int]
+
+    @property
+    def is_remarkable(self) -> bool:
+        """Whether they are more than what noise makes."""
+        return self.total >= LEAST_SECOND_ANSWERS
+
+    def may_be_two(self, drive: str, least: int = LEAST_SECOND_ANSWERS) -> bool:
+        """Whether two drives may have this drive's address: nearly all came after its answers.
+
+        Args:
+            drive: Its name.
+            least: Fewer are not enough.
+        """
+        count = self.alone.get(drive, 0)
+        known = sum(self.alone.values())
+        return count >= max(least, PART_OF_KNOWN * known, PART_OF_ALL * self.total)
 
 
 class LateWakes(Protocol):

@@ -28,11 +28,6 @@ PAUSED_FROM_S: Final = 1.5
 """The figure comes once a second; where it comes so much later, seconds, the daemon did not run."""
 
 SECOND_ANSWERS_REMARK: Final = "second-answers"
-LEAST: Final = 3
-"""Fewer second answers than this within a minute are not worth a remark."""
-
-PART: Final = 2 / 3
-"""Of those whose drive is known, so many came behind the same drive's own answer."""
 
 
 class PollOverload:
@@ -98,24 +93,22 @@ def remark_second_answers(found: SecondAnswerCount, drives: LineDrives, store: S
         drives: The drives.
         store: Gets the remarks.
     """
-    count, alone = found
-    known = sum(alone.values())
-    suspects = [drive.name for drive in drives
-                if alone.get(drive.name, 0) >= LEAST
-                and alone[drive.name] >= PART * known]  # fmt: skip
+    suspected = False
     for drive in drives:
         text, name, address = None, drive.name, drive.entry.address
-        if name in suspects:
+        if found.may_be_two(name):
+            suspected = True
             text = (
                 f"two drives at address {address}? second answers came after its own, "
-                f"{alone[name]} in the last minute: give one of the two another address"
+                f"{found.alone[name]} in the last minute: no stop of it is verified; give one of "
+                "the two another address"
             )
         store.note(name, SECOND_ANSWERS_REMARK, text)
     text = None
-    if count >= LEAST and not suspects:
+    if found.is_remarkable and not suspected:
         text = (
-            f"{count} answers came in the last minute that nobody asked for: two drives at one "
-            "address, an adapter or device server that delivers twice, or another master; "
+            f"{found.total} answers came in the last minute that nobody asked for: two drives at "
+            "one address, an adapter or device server that delivers twice, or another master; "
             "until they end a stop takes more readings to be shown"
         )
     store.note_line(SECOND_ANSWERS_REMARK, text)

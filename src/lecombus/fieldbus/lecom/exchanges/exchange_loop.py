@@ -403,7 +403,7 @@ class LecomExchangeLoop:
             self._publish()  # the job uses the control word as of the last exchange
         prepared = self._preparer.ask(job, now, urgent=True)
         if not isinstance(prepared, PreparedTelegram):
-            pause_s = job.instead_of_reading_s(now, prepared)
+            pause_s = job.instead_of_reading_s(now, self._preparer.late_until_s(job, now))
             if pause_s:
                 return now + pause_s
             if pause_s is not None:
@@ -444,6 +444,8 @@ class LecomExchangeLoop:
         by_result = request.is_outdated is not None or (type(job) is StopJob and job.asks_for_word)
         if by_result or self._late_answers.any(now):
             return  # depends on the result of the exchange under way
+        if self.duplicates.came_once and job.step.apart:
+            return  # its time counts from the end of the exchange under way
         prepared = self._preparer.ask(job, now, urgent=request.priority is Priority.STOP)
         if isinstance(prepared, PreparedTelegram):
             self.ready = (request, job, prepared)
@@ -495,6 +497,8 @@ class LecomExchangeLoop:
         done, self.under_way = self.under_way, None
         if done is None:
             return
+        if done[2].ask.field:
+            self.duplicates.ended(done[2].ask.field, result.ended_s)
         if self._log is not None:
             self._log.ended(done[1], result)
         try:

@@ -130,6 +130,7 @@ class ReadJob(ReadWork):
         instead: Codes that will do as well while a late answer to `code` may still come.
         form: The addressing form to ask in where that is free; None: the station's first.
         only: Wait until that form is free, and ask in no other.
+        apart: Do not ask directly behind another drive's same question (`JobStep`).
     """
 
     __slots__ = ("attempts", "error", "instead", "retries", "station", "step", "value")
@@ -144,10 +145,11 @@ class ReadJob(ReadWork):
         form: AddressForm | None = None,
         *,
         only: bool = False,
+        apart: bool = False,
     ) -> None:
         self.station = station
         self.instead = instead
-        self.step = JobStep(StepKind.READ, code, form=form, only=only)
+        self.step = JobStep(StepKind.READ, code, form=form, only=only, apart=apart)
         self.retries = retries
         self.attempts = 0
         self.value: Value | None = None
@@ -248,8 +250,9 @@ class ReadBackJob(ReadWork):
         """Read next what is still missing; in the form shown already it would prove no more."""
         wanted, only = self._proving.step(self.station, self.written), self._proving.has_shown
         self._reading = ReadJob(
-            self.station, wanted.code, self._retries, form=wanted.form, only=only
-        )
+            self.station, wanted.code, self._retries,
+            form=wanted.form, only=only, apart=wanted.apart,
+        )  # fmt: skip
         self.step = self._reading.step
 
 

@@ -152,8 +152,12 @@ class PendingLateAnswers:
 COPY_S: Final = 3.0
 """A second answer may come so long after the first, seconds."""
 
-DOUBTED_S: Final = 60.0
-"""For this long after a second answer, a single answer does not verify anything, seconds."""
+DOUBTED_S: Final = 50.0
+"""For this long after a second answer, a single answer does not verify anything, seconds. A minute
+after a disturbance writes take no longer than before it; its last second answer may come late."""
+
+COUNTED_S: Final = 60.0
+"""For this long second answers are counted, seconds."""
 
 LATELY_S: Final = 0.3
 """Two drives at one address answer within this time of each other, seconds."""
@@ -172,6 +176,8 @@ class Duplicates:
         self.came_once = False
         self._last: dict[bytes, tuple[str, float]] = {}
         self._other: dict[bytes, float] = {}  # when it was asked last of another than `_last`
+        self._ended: dict[bytes, float] = {}  # when the last such exchange ended
+        self._other_ended: dict[bytes, float] = {}
         self._lately: deque[tuple[float, bytes, str]] = deque()
         self._second: deque[tuple[float, str | None]] = deque(maxlen=1000)
 
@@ -180,10 +186,24 @@ class Duplicates:
         last = self._last.get(field)
         if last is not None and last[0] != drive:
             self._other[field] = last[1]
+            self._other_ended[field] = self._ended.get(field, last[1])
         self._last[field] = (drive, at_s)
         self._lately.append((at_s, field, drive))
         while self._lately[0][0] < at_s - LATELY_S:
             self._lately.popleft()
+
+    def ended(self, field: bytes, at_s: float) -> None:
+        """Note that the exchange with the drive that was asked last for this has ended."""
+        self._ended[field] = at_s
+
+    def other_ended_s(self, field: bytes, drive: str) -> float:
+        """Return when an exchange of another drive with such an answer ended; minus infinity: none.
+
+        No such exchange may be under way.
+        """
+        last = self._last.get(field)
+        ended = self._ended if last is not None and last[0] != drive else self._other_ended
+        return ended.get(field, float("-inf"))
 
     def other_s(self, field: bytes, drive: str) -> float:
         """Return when another drive was last asked for such an answer; minus infinity: never."""
@@ -209,10 +229,10 @@ class Duplicates:
 
     def found(self, now_s: float) -> SecondAnswerCount:
         """Count the second answers of the last minute."""
-        while self._second and now_s - self._second[0][0] >= DOUBTED_S:
+        while self._second and now_s - self._second[0][0] >= COUNTED_S:
             self._second.popleft()
         alone: dict[str, int] = {}
         for _, name in self._second:
             if name is not None:
                 alone[name] = alone.get(name, 0) + 1
-        return len(self._second), alone
+        return SecondAnswerCount(len(self._second), alone)

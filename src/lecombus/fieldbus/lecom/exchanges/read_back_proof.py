@@ -32,6 +32,12 @@ from .late_answers import COPY_S, Duplicates
 
 __all__ = ["ReadBackProof", "WrittenValue"]
 
+KEPT_APART_S = 1.0
+"""A reading waits so long for a pause between questions to other drives for the same, seconds."""
+
+MARKED_SECOND_ANSWERS = 6
+"""With so many, nearly all after the answers of one drive, no chance has made them."""
+
 WANTED = 2
 """Readings that it takes in two forms where one may be another drive's."""
 
@@ -69,6 +75,7 @@ class ReadBackProof:
         has_no_address: It does not know the code of its own address.
         repeated: The last reading showed what an earlier one had shown in the same form: the other
             form may not be asked for while a late answer in it may still come.
+        proves_nothing: The reading is not kept apart from other drives' any longer.
     """
 
     def __init__(
@@ -77,7 +84,8 @@ class ReadBackProof:
         self._duplicates = duplicates or Duplicates()
         self.silent = silent
         self.acknowledged = False
-        self.repeated = False
+        self.repeated = self.proves_nothing = False
+        self._apart_since_s: float | None = None  # since when the next reading is kept apart
         self._is_refused = False
         self._was_offline = offline
         self._ack_is_own = False
@@ -109,6 +117,7 @@ class ReadBackProof:
 
     def step(self, station: Station, what: StopAction | WrittenValue) -> JobStep:
         """Return the next reading."""
+        self._apart_since_s, self.proves_nothing = None, False
         other_s = self._duplicates.other_s
         fields = [one for one in self._fields(station, what) if one[0] not in self._shown]
         if self._has_enough(station, what) and not self._knows_it:
@@ -116,11 +125,21 @@ class ReadBackProof:
             forms = [form for form in self._forms(station) if form.carries(code)]
             forms.sort(key=lambda form: other_s(encode_code(code, form), station.name))
             form = forms[self._asked_itself % len(forms)] if forms else None
-            return JobStep(StepKind.READ, code, form=form)
+            return JobStep(StepKind.READ, code, form=form, apart=True)
         if not fields:
             fields = list(self._fields(station, what))
         _, code, form = min(fields, key=lambda one: other_s(one[0], station.name))
         return JobStep(StepKind.READ, code, form=form, apart=True)
+
+    def waits_apart(self, now_s: float) -> bool:
+        """Whether the next reading waits for a pause between questions to other drives.
+
+        If there is none for a second it is sent all the same, and proves nothing.
+        """
+        if self._apart_since_s is None:
+            self._apart_since_s = now_s
+        self.proves_nothing = now_s - self._apart_since_s >= KEPT_APART_S
+        return not self.proves_nothing
 
     def take(
         self, station: Station, what: StopAction | WrittenValue, answer: ValueAnswer, code: Code
@@ -218,6 +237,10 @@ class ReadBackProof:
         if what.code == address_code(station.family):
             return bool(self._shown)  # no other drive reads as this one's address
         return self._is_itself and self._has_enough(station, what)
+
+    def may_be_two(self, station: Station, now_s: float) -> bool:
+        """Whether what was shown may be shown by one of two drives at this address."""
+        return self._duplicates.found(now_s).may_be_two(station.name, MARKED_SECOND_ANSWERS)
 
     def missing(self, station: Station) -> str:
         """Say what is not shown, where a reading showed the stop."""

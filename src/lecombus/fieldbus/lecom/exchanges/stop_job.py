@@ -64,6 +64,10 @@ UNSHOWN_S = 1.0
 """A quick stop that was acknowledged gets this long to show before it is taken for without effect,
 seconds: with shortened response time a 820X takes a value up 230 ms later (EDB2102EN 6.3.2)."""
 
+TWO_DRIVES = (
+    "two drives at address {address}? second answers come after its own: one may not have stopped"
+)
+
 NO_FALLBACK = "; it was not inhibited instead: the roster says stop_fallback: none"
 
 
@@ -228,9 +232,19 @@ class StopJob(StopWork):
         A drive that has not shown the stop may not have heard it, and an old answer may be waited
         for much longer than a stop is repeated: it is sent again then, after a pause.
 
+        Args:
+            now_s: The time.
+            until_s: Until when old answers may come; `now_s`: the reading is only kept apart from
+                another drive's.
+
         Returns:
             After how long that can be sent, seconds; None: the reading is waited for.
         """
+        if until_s <= now_s:
+            if self._proving.waits_apart(now_s):
+                return None
+            self._step = self.step._replace(apart=False)
+            return 0.0
         if self._learning:
             if not self.may_inhibit:
                 return None
@@ -405,12 +419,18 @@ class StopJob(StopWork):
             return self._unread(step, result, over)
         proving, family = self._proving, self.station.family
         self._failed_reads = 0
+        if proving.proves_nothing:
+            return self._unproven(step, over)
         if proving.take(self.station, self.action, answer, step.code):
             if step.code in confirm_codes(family, self.action):
                 self.proof, self.proof_code = answer.value, step.code
             self.error = None
             if proving.is_enough(self.station, self.action, result.ended_s):
-                return Outcome.VERIFIED, f"{self._why}{self.action}: {self._shown}"
+                text = f"{self._why}{self.action}: {self._shown}"
+                if not proving.may_be_two(self.station, result.ended_s):
+                    return Outcome.VERIFIED, text
+                address = self.station.address
+                return Outcome.UNKNOWN, f"{text}, but {TWO_DRIVES.format(address=address)}"
             assert self._since_s is not None
             if result.ended_s - self._since_s < self.patience_s + PROVING_S:
                 self._checking = proving.acknowledged and not proving.wants_own_ack(
@@ -432,6 +452,16 @@ class StopJob(StopWork):
         if not over:
             return None
         return self._not_shown(step, reads)
+
+    def _unproven(self, step: JobStep, over: bool) -> Verdict:
+        """Read again, or at the end say why no reading can be this drive's for certain."""
+        self._checking = self._proving.acknowledged
+        if not over:
+            return None
+        return Outcome.UNKNOWN, (
+            f"{self._why}{self.action} was sent, but second answers come on this line, and other "
+            f"drives are asked for {step.code} all the time: no answer is this drive's for certain"
+        )
 
     def _not_shown(self, step: JobStep, reads: str) -> Verdict:
         """Say that a stop was sent for as long as it is tried, and does not show."""

@@ -279,6 +279,25 @@ class SimDrive:
             return self._spread_out(reply, rng)
         return self._spread_out(self._write(heard.text, number, subcode, now_s), rng)
 
+    def takes_after_s(
+        self, heard: ReceivedRequest, now_s: float, rng: random.Random
+    ) -> float | None:
+        """How long a write is processed by a drive that takes it at the end of that.
+
+        Returns:
+            Seconds, 0 where the drive acknowledges first; None: it does not hear.
+        """
+        model = self.model
+        model.advance(now_s)
+        if now_s < model.deaf_until_s or not model.listens():
+            return None
+        if isinstance(model, Drive82XX) and model.shortened():
+            return 0.0
+        code = read_code_field(heard.field)
+        number, _ = self._resolve(code) if code else (-1, 0)
+        after_s = model.think_s(number, write=True, now_s=now_s)
+        return after_s * (1.0 - self._spread * rng.random())
+
     def hear_group(self, heard: ReceivedRequest, now_s: float) -> None:
         """Take a write to a group it belongs to: done or not, never answered, feeds nothing.
 

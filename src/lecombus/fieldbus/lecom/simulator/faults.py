@@ -63,6 +63,9 @@ class Faults:
         damaged: The request is damaged on its way to the drive, which notices: NAK to a write, and
             to a read `?` or NAK (see `nak_reads`).
         nak_reads: A drive says NAK to a read that it cannot carry out: damaged, or no such code.
+        eot_drops_writes: A drive takes a write at the end of its processing time, and a new EOT
+            before that makes it drop the write; else it takes a write when it has heard it. The
+            manual says neither (EDB2102EN 8.3.5).
         power_cycle: The drive loses its power when asked.
         power_off_s: How long it is then away, seconds.
         echo: The host hears itself.
@@ -89,6 +92,7 @@ class Faults:
     nak: float = 0.0
     damaged: float = 0.0
     nak_reads: bool = False
+    eot_drops_writes: bool = False
     power_cycle: float = 0.0
     power_off_s: float = 1.0
     echo: bool = False
@@ -104,7 +108,7 @@ TWIN_S: Final = (0.06, 0.2)
 _CHANCES: Final = tuple(
     one.name for one in fields(Faults) if one.type == "float" and one.name != "power_off_s"
 )
-_SWITCHES: Final = ("echo", "unplugged", "nak_reads")
+_SWITCHES: Final = ("echo", "unplugged", "nak_reads", "eot_drops_writes")
 _TRIP: Final = re.compile(r"(\d{1,2}):(\d{1,4})(:stays)?\Z")
 _DURATION: Final = re.compile(r"(\d+(?:\.\d+)?)(ms|s)\Z")
 
@@ -115,8 +119,8 @@ def parse_faults(text: str) -> Faults:
     Args:
         text: `NAME=CHANCE` items with commas between; `late=CHANCE[:[LEAST-]MOST[:KIND]]`,
             `double=CHANCE[:[LEAST-]MOST]`, `twins=11+12`, `power_cycle=CHANCE[:DURATION]`,
-            `absent=11+12`, `trip=11:50+12:15:stays`, `echo`, `unplugged`, `nak-reads`. Empty: no
-            faults.
+            `absent=11+12`, `trip=11:50+12:15:stays`, `echo`, `unplugged`, `nak-reads`,
+            `eot-drops-writes`. Empty: no faults.
 
     Raises:
         ValueError: An item is not understood; says which and what is right.

@@ -39,6 +39,7 @@ _NOBODY: Final[list[SimDrive]] = []
 
 
 class _Event(Enum):
+    TAKE = auto()
     SPEAK = auto()
     LET_THROUGH = auto()
     COPY = auto()
@@ -273,6 +274,8 @@ class SimLine:
                 at_s, _, kind, speech = heappop(events)
                 if kind is _Event.SPEAK:
                     self._speak(speech, at_s)
+                elif kind is _Event.TAKE:
+                    self._take(speech, at_s)
                 elif kind is _Event.LET_THROUGH:
                     self._let_through(speech, at_s)
                 else:
@@ -304,8 +307,31 @@ class SimLine:
                 drive.hear_group(heard, at_s)
             elif faults.power_cycle and self._spoiler.happens(faults.power_cycle):
                 drive.power_cycle(at_s, faults.power_off_s)
+            elif faults.eot_drops_writes and heard.text is not None and not heard.damaged:
+                self._process_write(drive, heard, at_s)
             else:
                 self._ask(drive, heard, at_s, faults)
+
+    def _process_write(self, drive: SimDrive, heard: ReceivedRequest, at_s: float) -> None:
+        """Let a drive process a write before it takes it; an EOT meanwhile ends that."""
+        after_s = drive.takes_after_s(heard, at_s, self._spoiler.rng)
+        if after_s is None:
+            return
+        take_s = at_s + after_s * self._think_scale
+        write = Speech(drive, b"", take_s, 0.0, False, 0, heard=heard)
+        self._thinking.append(write)
+        self._schedule(take_s, _Event.TAKE, write)
+
+    def _take(self, write: Speech, at_s: float) -> None:
+        """Let a drive take the write that it has processed, and answer."""
+        if write.cut_at_s is not None:
+            return
+        self._thinking.remove(write)
+        assert write.heard is not None
+        if self._hears(write.drive):
+            faults = self._faults_of(write.drive)
+            reply = self._hear(write.drive, write.heard, at_s, faults)
+            self._reply(write.drive, reply, at_s, faults)
 
     def _collide(self, at_s: float) -> None:
         """The host's character overlaps with what drives are saying."""
@@ -364,15 +390,22 @@ class SimLine:
         return self.drive_faults.get(drive.address, self.faults)
 
     def _ask(self, drive: SimDrive, heard: ReceivedRequest, at_s: float, faults: Faults) -> None:
+        reply = self._hear(drive, heard, at_s, faults)
+        if reply is not None:
+            self._reply(drive, reply, at_s + reply.after_s * self._think_scale, faults)
+
+    def _hear(
+        self, drive: SimDrive, heard: ReceivedRequest, at_s: float, faults: Faults
+    ) -> Reply | None:
         if heard.text is not None and not heard.damaged and self._spoiler.happens(faults.nak):
-            reply: Reply | None = drive.refuse(at_s)
-        else:
-            if faults.damaged and self._spoiler.happens(faults.damaged):
-                heard = replace(heard, damaged=True)
-            reply = drive.hear(heard, at_s, self._spoiler.rng, nak_reads=faults.nak_reads)
+            return drive.refuse(at_s)
+        if faults.damaged and self._spoiler.happens(faults.damaged):
+            heard = replace(heard, damaged=True)
+        return drive.hear(heard, at_s, self._spoiler.rng, nak_reads=faults.nak_reads)
+
+    def _reply(self, drive: SimDrive, reply: Reply | None, begin_s: float, faults: Faults) -> None:
         if reply is None or (faults.lost and self._spoiler.happens(faults.lost)):
             return
-        begin_s = at_s + reply.after_s * self._think_scale
         data = self._answer(reply.data, drive, faults)
         speech = Speech(drive, data, begin_s, 0.0, False, len(reply.data))
         if faults.late and self._spoiler.happens(faults.late):

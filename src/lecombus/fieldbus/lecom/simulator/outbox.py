@@ -13,6 +13,7 @@ from heapq import heappop, heappush
 
 from .drive import SimDrive
 from .faults import Spoiler
+from .receiver import ReceivedRequest
 
 __all__ = ["Outbox", "Speech"]
 
@@ -28,6 +29,7 @@ class Speech:
         own_chars: How many of its characters are the drive's, before any damage.
         cut_at_s: When an EOT stopped it, if one did.
         garbled_from_s: When the host began to speak over it, if it did.
+        heard: A write that the drive processes and has not taken yet; there is no data then.
     """
 
     drive: SimDrive
@@ -38,6 +40,7 @@ class Speech:
     own_chars: int
     cut_at_s: float | None = None
     garbled_from_s: float | None = None
+    heard: ReceivedRequest | None = None
 
     def end_s(self, char_s: float) -> float:
         """When its last character leaves the wire; none does after an EOT has stopped it."""
