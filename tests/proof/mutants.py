@@ -106,14 +106,6 @@ MUTANTS: dict[str, Mutant] = {
         (309, 892),
         tolerate=1,
     ),
-    "the feed of the drive spoken to is left out of the slack sum": Mutant(
-        WatchdogSet,
-        "_fit",
-        "total_s += feed.cost_s",
-        "total_s += feed.cost_s * (feed.drive != drive)",
-        (49, 246),
-        tolerate=2,
-    ),
     "a write feeds for longer than a read": Mutant(
         Schedule,
         "finished",

@@ -366,6 +366,19 @@ def test_without_the_slack_check_feeds_would_be_late(monkeypatch: pytest.MonkeyP
     assert sum(feed.lapses for feed in feeds) > 0
 
 
+def test_the_own_feed_counts_before_the_others_as_a_lost_answer_feeds_nothing() -> None:
+    """A feed of 0.02 s each by 0.9 s: an exchange must be over by 0.86 s, not by 0.88 s."""
+    feeds = WatchdogSet()
+    for name in ("a", "b"):
+        feeding = WatchdogFeeding(1.0, partial(World().request, name, P.WATCHDOG))
+        feeds.by_drive[name] = WatchdogDeadline(name, feeding, 0.0)
+    feeds.changed()
+    assert feeds.fits(0.759, 0.1, "a")
+    assert not feeds.fits(0.761, 0.1, "a")
+    assert feeds.latest_end_s == pytest.approx(0.86), "and nothing else may take longer"
+    assert not feeds.fits(0.861, 0.0, "other")
+
+
 def test_room_is_made_for_what_would_not_fit_now() -> None:
     world = World().drives("a", "b")
     world.feed("a", 1.0)
