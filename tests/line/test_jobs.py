@@ -24,7 +24,7 @@ from lecombus.fieldbus.lecom.protocol.telegrams import (
     ValueAnswer,
 )
 from lecombus.fieldbus.loop_interface import ResultKind
-from lecombus.fieldbus.requests import Job, JobStep, Station, StepKind
+from lecombus.fieldbus.requests import Job, JobStep, Station, StepKind, Verdict
 from lecombus.parameters import Code, Value
 from lecombus.schedule.request import Outcome
 from support.golden import Golden
@@ -266,11 +266,12 @@ def test_a_stop_is_not_proven_where_others_are_asked_for_the_same_all_the_time()
     duplicates = doubted()
     job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=2, duplicates=duplicates)
     job.advance(RESULTS["ack"])
-    verdict, now_s = None, 0.0
+    verdict, now_s, sent = None, 0.0, 1
     while verdict is None:
         now_s += 0.03
         if job.step.kind is StepKind.WRITE:
             result: Result = RESULTS["ack"]
+            sent += 1
         elif job.step.apart and job.instead_of_reading_s(now_s, now_s) is None:
             continue
         else:
@@ -280,6 +281,7 @@ def test_a_stop_is_not_proven_where_others_are_asked_for_the_same_all_the_time()
     assert 5.0 < now_s < 7.0
     assert verdict[0] is UNKNOWN
     assert "other drives are asked for C0150 all the time" in verdict[1]
+    assert sent == 5, "it may not have heard it, so it is sent again each time"
 
 
 def test_a_stop_that_waits_for_a_pause_is_not_sent_again_and_is_proven_in_it() -> None:
@@ -290,9 +292,22 @@ def test_a_stop_that_waits_for_a_pause_is_not_sent_again_and_is_proven_in_it() -
     assert (job.advance(value(150, "H0080")) or (None,))[0] is VERIFIED
 
 
-def test_the_reading_back_of_a_write_is_kept_apart_too() -> None:
-    job = ReadBackJob(STATION, WrittenValue(CODE, Value.parse("7.0")), 2, doubted())
+def test_the_reading_back_of_a_write_is_kept_apart_too_and_not_without_end() -> None:
+    job = WriteJob(
+        STATION, CODE, Value.decimal(7), write_class=WriteClass.PLAIN, retries=2, verify=True,
+        duplicates=doubted(),
+    )  # fmt: skip
+    assert job.waits_apart(0.0, 0.0), "the write itself does not"
+    job.advance(RESULTS["ack"])
     assert job.step.apart
+    verdicts, now_s = list[Verdict](), 1.0
+    while not verdicts or verdicts[-1] is None:
+        now_s += 0.03
+        assert job.waits_apart(now_s, now_s + 1.0), "old answers may come, for as long as they may"
+        if not job.waits_apart(now_s, now_s):
+            verdicts.append(job.advance(RESULTS["same"]))
+    assert 3.0 < now_s < 6.0
+    assert verdicts[-1][0] is UNKNOWN
 
 
 def test_more_proof_of_a_stop_takes_the_time_of_a_reading_and_a_repetition_that_of_a_stop() -> None:

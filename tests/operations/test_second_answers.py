@@ -78,7 +78,7 @@ def test_of_two_drives_at_one_address_none_is_said_to_be_stopped(action: StopAct
     report = stopped("twins=13", 0, action, 30.0)
     (shared,) = [one for one in report.members if one.drive == "d2"]
     assert shared.outcome is Outcome.UNKNOWN
-    assert "two drives at address 13? second answers come after its own" in shared.reason
+    assert "come after its own, as from two drives at address 13" in shared.reason
 
 
 SLOW = roster_text(

@@ -192,7 +192,7 @@ class WorkerOptions:
 LEAST_SECOND_ANSWERS: Final = 3
 """Fewer second answers than this within a minute mean nothing."""
 
-PART_OF_KNOWN: Final = 2 / 3
+PART_OF_KNOWN: Final = 0.85
 PART_OF_ALL: Final = 1 / 3
 """Where two drives have one address, so many of those whose drive is known, and of all, come after
 its answers. What only one drive is asked for is known to be its own also where all come twice."""
@@ -214,16 +214,11 @@ class SecondAnswerCount(NamedTuple):
         """Whether they are more than what noise makes."""
         return self.total >= LEAST_SECOND_ANSWERS
 
-    def may_be_two(self, drive: str, least: int = LEAST_SECOND_ANSWERS) -> bool:
-        """Whether two drives may have this drive's address: nearly all came after its answers.
-
-        Args:
-            drive: Its name.
-            least: Fewer are not enough.
-        """
+    def may_be_two(self, drive: str) -> bool:
+        """Whether two drives may have this drive's address: nearly all came after its answers."""
         count = self.alone.get(drive, 0)
         known = sum(self.alone.values())
-        return count >= max(least, PART_OF_KNOWN * known, PART_OF_ALL * self.total)
+        return count >= max(LEAST_SECOND_ANSWERS, PART_OF_KNOWN * known, PART_OF_ALL * self.total)
 
 
 class LateWakes(Protocol):

@@ -50,7 +50,7 @@ from lecombus.schedule import Outcome, Priority, Request, Schedule
 
 from ..protocol.telegrams import NakAnswer, ValueAnswer
 from .idle_receive import BusIdleTimer, IdleReceive
-from .jobs import MulticastJob, ReadJob
+from .jobs import MulticastJob, ReadBackJob, ReadJob, WriteJob
 from .late_answers import Duplicates, PendingLateAnswers, UnansweredRead
 from .prepared_telegrams import PreparedTelegram, TelegramPreparer
 from .stop_job import StopJob
@@ -205,7 +205,7 @@ class LecomExchangeLoop:
         self._options = options
         self._connection = connection
         self._log = TelegramLog(line) if logger.isEnabledFor(logging.DEBUG) else None
-        self.duplicates = Duplicates()
+        self.duplicates = Duplicates(timing.char_s)
         self.second_answers = self.duplicates.found
         late_s = options.late_answer_s if options.quarantine else 0.0
         self._latency_s = timing.adapter_latency_s
@@ -398,7 +398,12 @@ class LecomExchangeLoop:
     def _ask(self, request: Request, job: Job, now: float) -> PreparedTelegram | float:
         """Prepare the telegram of the next step, or return the time before which it must wait."""
         if type(job) is not StopJob:
-            return self._preparer.ask(job, now, urgent=request.priority is Priority.STOP)
+            prepared = self._preparer.ask(job, now, urgent=request.priority is Priority.STOP)
+            if type(prepared) is float and isinstance(job, ReadBackJob | WriteJob):
+                if job.waits_apart(now, self._preparer.late_until_s(job, now)):
+                    return prepared
+                prepared = self._preparer.ask(job, now, urgent=False)
+            return prepared
         if job.asks_for_word:
             self._publish()  # the job uses the control word as of the last exchange
         prepared = self._preparer.ask(job, now, urgent=True)

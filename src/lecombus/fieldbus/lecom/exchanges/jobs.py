@@ -210,6 +210,19 @@ class ReadBackJob(ReadWork):
         self._proving.silent |= not answered
         self._begin()
 
+    def waits_apart(self, now_s: float, late_until_s: float) -> bool:
+        """Whether the next reading waits; a second without a pause, and it proves nothing.
+
+        Args:
+            now_s: The time.
+            late_until_s: Until when old answers keep it waiting.
+        """
+        step = self._reading.step
+        if not step.apart or late_until_s > now_s or self._proving.waits_apart(now_s):
+            return True
+        self.step = self._reading.step = step._replace(apart=False)
+        return False
+
     def advance(self, result: Result) -> Verdict:
         """Read on until the value is shown, differs, or cannot be had."""
         self._proving.silent |= result.kind is not ResultKind.ANSWERED
@@ -222,18 +235,35 @@ class ReadBackJob(ReadWork):
         if type(answer) is ValueAnswer:
             if code == self.written.code:
                 self.value = answer.value
+            if self._proving.proves_nothing:
+                return self._unproven()
             shows = self._proving.take(self.station, self.written, answer, code)
             if not shows and code == self.written.code:
                 return Outcome.REFUSED, ""
             if shows and self._proving.is_written(self.station, self.written, result.ended_s):
                 self.is_shown, self.error = True, None
                 return Outcome.VERIFIED, ""
+        elif self._proving.proves_nothing and result.kind is ResultKind.ANSWERED:
+            return self._unproven()
         elif not self._proving.refused(self.station, code, answer):
             if self.value is not None:
                 return self._in_doubt()
             return Outcome.UNKNOWN, f"could not be read back: {verdict[1]}"
         if self._readings >= MOST_READINGS or self._proving.has_no_address:
             return self._in_doubt()
+        self._next()
+        return None
+
+    def may_be_two(self, now_s: float) -> str:
+        """As of a `ReadBackProof`."""
+        return self._proving.may_be_two(self.station, now_s)
+
+    def _unproven(self) -> Verdict:
+        """Read again what may be another drive's answer; it took a second, so it counts more."""
+        self._readings += 2
+        if self._readings >= MOST_READINGS:
+            why = self._proving.not_its_own(self.station)
+            return (Outcome.UNKNOWN, why) if self.value is None else self._in_doubt()
         self._next()
         return None
 
@@ -295,6 +325,14 @@ class WriteJob(WriteWork):
         self._duplicates = duplicates
         self._back: ReadBackJob | None = None
         self._proving = False
+
+    def waits_apart(self, now_s: float, late_until_s: float) -> bool:
+        """As of a `ReadBackJob`, while the write is read back."""
+        if self._back is None or not self._proving:
+            return True
+        waits = self._back.waits_apart(now_s, late_until_s)
+        self.step = self._back.step
+        return waits
 
     def advance(self, result: Result) -> Verdict:
         """Go from the write to its proof, back to a repetition, or to the end."""
@@ -366,7 +404,8 @@ class WriteJob(WriteWork):
             return Outcome.UNKNOWN, f"{text}, {self.code} reads {self.proof.raw}"
         if back.is_shown:
             self.error = None
-            return verdict
+            two = back.may_be_two(result.ended_s) if self._stops else ""
+            return (Outcome.UNKNOWN, f"it reads as written, but {two}") if two else verdict
         if self.proof.means_same(self.value):
             self.error = back.error
             return Outcome.UNKNOWN, f"the write was {what}; {verdict[1]}"

@@ -159,8 +159,10 @@ after a disturbance writes take no longer than before it; its last second answer
 COUNTED_S: Final = 60.0
 """For this long second answers are counted, seconds."""
 
-LATELY_S: Final = 0.3
-"""Two drives at one address answer within this time of each other, seconds."""
+LATELY_S: Final = 0.2
+LATELY_CHARS: Final = 20
+"""The second of two drives at one address has answered so long after the first, at most: seconds
+and characters."""
 
 
 class Duplicates:
@@ -168,12 +170,16 @@ class Duplicates:
 
     Answers are distinguished by their code field (`protocol.exchange.Ask.field`).
 
+    Args:
+        char_s: The time of a character, seconds.
+
     Attributes:
         came_once: A second answer has come on this line at any time.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, char_s: float = 0.0) -> None:
         self.came_once = False
+        self._lately_s = LATELY_S + LATELY_CHARS * char_s
         self._last: dict[bytes, tuple[str, float]] = {}
         self._other: dict[bytes, float] = {}  # when it was asked last of another than `_last`
         self._ended: dict[bytes, float] = {}  # when the last such exchange ended
@@ -186,15 +192,17 @@ class Duplicates:
         last = self._last.get(field)
         if last is not None and last[0] != drive:
             self._other[field] = last[1]
-            self._other_ended[field] = self._ended.get(field, last[1])
+            self._other_ended[field] = max(self._ended.get(field, last[1]), last[1])
         self._last[field] = (drive, at_s)
-        self._lately.append((at_s, field, drive))
-        while self._lately[0][0] < at_s - LATELY_S:
-            self._lately.popleft()
 
     def ended(self, field: bytes, at_s: float) -> None:
         """Note that the exchange with the drive that was asked last for this has ended."""
         self._ended[field] = at_s
+        last = self._last.get(field)
+        if last is not None:
+            self._lately.append((at_s, field, last[0]))
+            while self._lately[0][0] < at_s - self._lately_s:
+                self._lately.popleft()
 
     def other_ended_s(self, field: bytes, drive: str) -> float:
         """Return when an exchange of another drive with such an answer ended; minus infinity: none.
@@ -219,8 +227,8 @@ class Duplicates:
     def came(self, field: bytes, at_s: float) -> None:
         """Record an answer without an open request."""
         self.came_once = True
-        whose = {name for asked_s, one, name in self._lately
-                 if one == field and asked_s >= at_s - LATELY_S}  # fmt: skip
+        whose = {name for ended_s, one, name in self._lately
+                 if one == field and ended_s >= at_s - self._lately_s}  # fmt: skip
         self._second.append((at_s, whose.pop() if len(whose) == 1 else None))
 
     def doubtful(self, now_s: float) -> bool:

@@ -35,9 +35,6 @@ __all__ = ["ReadBackProof", "WrittenValue"]
 KEPT_APART_S = 1.0
 """A reading waits so long for a pause between questions to other drives for the same, seconds."""
 
-MARKED_SECOND_ANSWERS = 6
-"""With so many, nearly all after the answers of one drive, no chance has made them."""
-
 WANTED = 2
 """Readings that it takes in two forms where one may be another drive's."""
 
@@ -238,9 +235,14 @@ class ReadBackProof:
             return bool(self._shown)  # no other drive reads as this one's address
         return self._is_itself and self._has_enough(station, what)
 
-    def may_be_two(self, station: Station, now_s: float) -> bool:
-        """Whether what was shown may be shown by one of two drives at this address."""
-        return self._duplicates.found(now_s).may_be_two(station.name, MARKED_SECOND_ANSWERS)
+    def may_be_two(self, station: Station, now_s: float) -> str:
+        """Say that one of two drives at this address may have shown it; empty: one is there."""
+        if not self._duplicates.found(now_s).may_be_two(station.name):
+            return ""
+        return (
+            f"second answers come after its own, as from two drives at address {station.address}: "
+            "one may not have stopped"
+        )
 
     def missing(self, station: Station) -> str:
         """Say what is not shown, where a reading showed the stop."""

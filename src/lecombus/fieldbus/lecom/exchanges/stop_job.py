@@ -64,10 +64,6 @@ UNSHOWN_S = 1.0
 """A quick stop that was acknowledged gets this long to show before it is taken for without effect,
 seconds: with shortened response time a 820X takes a value up 230 ms later (EDB2102EN 6.3.2)."""
 
-TWO_DRIVES = (
-    "two drives at address {address}? second answers come after its own: one may not have stopped"
-)
-
 NO_FALLBACK = "; it was not inhibited instead: the roster says stop_fallback: none"
 
 
@@ -415,22 +411,20 @@ class StopJob(StopWork):
         self._checking = False
         self._unheard = 0
         answer = result.answer
+        proving, family = self._proving, self.station.family
+        if proving.proves_nothing and result.kind is ResultKind.ANSWERED:
+            return self._unproven(step, over)
         if type(answer) is not ValueAnswer:
             return self._unread(step, result, over)
-        proving, family = self._proving, self.station.family
         self._failed_reads = 0
-        if proving.proves_nothing:
-            return self._unproven(step, over)
         if proving.take(self.station, self.action, answer, step.code):
             if step.code in confirm_codes(family, self.action):
                 self.proof, self.proof_code = answer.value, step.code
             self.error = None
             if proving.is_enough(self.station, self.action, result.ended_s):
                 text = f"{self._why}{self.action}: {self._shown}"
-                if not proving.may_be_two(self.station, result.ended_s):
-                    return Outcome.VERIFIED, text
-                address = self.station.address
-                return Outcome.UNKNOWN, f"{text}, but {TWO_DRIVES.format(address=address)}"
+                two = proving.may_be_two(self.station, result.ended_s)
+                return (Outcome.UNKNOWN, f"{text}, but {two}") if two else (Outcome.VERIFIED, text)
             assert self._since_s is not None
             if result.ended_s - self._since_s < self.patience_s + PROVING_S:
                 self._checking = proving.acknowledged and not proving.wants_own_ack(
@@ -454,8 +448,8 @@ class StopJob(StopWork):
         return self._not_shown(step, reads)
 
     def _unproven(self, step: JobStep, over: bool) -> Verdict:
-        """Read again, or at the end say why no reading can be this drive's for certain."""
-        self._checking = self._proving.acknowledged
+        """Send it again: it may not have been heard. At the end say why nothing proves it."""
+        self._failed_reads = 0
         if not over:
             return None
         return Outcome.UNKNOWN, (

@@ -291,8 +291,10 @@ class SimDrive:
         model.advance(now_s)
         if now_s < model.deaf_until_s or not model.listens():
             return None
+        if model.standard_only and heard.field[:1] == b"!":
+            return None
         if isinstance(model, Drive82XX) and model.shortened():
-            return 0.0
+            return _SHORT_S
         code = read_code_field(heard.field)
         number, _ = self._resolve(code) if code else (-1, 0)
         after_s = model.think_s(number, write=True, now_s=now_s)

@@ -63,9 +63,9 @@ class Faults:
         damaged: The request is damaged on its way to the drive, which notices: NAK to a write, and
             to a read `?` or NAK (see `nak_reads`).
         nak_reads: A drive says NAK to a read that it cannot carry out: damaged, or no such code.
-        eot_drops_writes: A drive takes a write at the end of its processing time, and a new EOT
-            before that makes it drop the write; else it takes a write when it has heard it. The
-            manual says neither (EDB2102EN 8.3.5).
+        eot_drops_writes: A drive takes a write to its own address at the end of its processing
+            time, and a new EOT before that makes it drop the write; else it takes a write when it
+            has heard it. The manual says neither (EDB2102EN 8.3.5).
         power_cycle: The drive loses its power when asked.
         power_off_s: How long it is then away, seconds.
         echo: The host hears itself.

@@ -324,9 +324,10 @@ class SimLine:
 
     def _take(self, write: Speech, at_s: float) -> None:
         """Let a drive take the write that it has processed, and answer."""
+        if write in self._thinking:
+            self._thinking.remove(write)
         if write.cut_at_s is not None:
             return
-        self._thinking.remove(write)
         assert write.heard is not None
         if self._hears(write.drive):
             faults = self._faults_of(write.drive)
