@@ -502,7 +502,7 @@ class LecomExchangeLoop:
         done, self.under_way = self.under_way, None
         if done is None:
             return
-        if done[2].ask.field:
+        if self.duplicates.came_once and done[2].ask.field:
             self.duplicates.ended(done[2].ask.field, result.ended_s)
         if self._log is not None:
             self._log.ended(done[1], result)

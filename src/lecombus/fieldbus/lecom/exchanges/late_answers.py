@@ -192,11 +192,14 @@ class Duplicates:
         last = self._last.get(field)
         if last is not None and last[0] != drive:
             self._other[field] = last[1]
-            self._other_ended[field] = max(self._ended.get(field, last[1]), last[1])
+            self._other_ended[field] = self._ended.get(field, last[1])
         self._last[field] = (drive, at_s)
 
     def ended(self, field: bytes, at_s: float) -> None:
-        """Note that the exchange with the drive that was asked last for this has ended."""
+        """Note that the exchange with the drive that was asked last for this has ended.
+
+        Needed once a second answer has come.
+        """
         self._ended[field] = at_s
         last = self._last.get(field)
         if last is not None:
@@ -211,7 +214,7 @@ class Duplicates:
         """
         last = self._last.get(field)
         ended = self._ended if last is not None and last[0] != drive else self._other_ended
-        return ended.get(field, float("-inf"))
+        return max(ended.get(field, float("-inf")), self.other_s(field, drive))
 
     def other_s(self, field: bytes, drive: str) -> float:
         """Return when another drive was last asked for such an answer; minus infinity: never."""
