@@ -5,8 +5,9 @@ is under way (on a line whose clients ask seldom, only then); the others hit wha
 after it, which by then is mostly feeds. Then
 none for as long as the longest watchdog time. An exchange that leaves no room for that many at any
 time, such as a read of a module's own slow codes, is hit alone, or not at all; where only a stop
-besides is too much, the burst that it begins ends with the first stop. Half of the answers
-are lost on the way back; else the drive has not heard the question, and is not fed by it.
+besides is too much, the burst that it begins ends with the first stop, and a stop directly behind
+it is hit alone. Half of the answers are lost on the way back; else the drive has not heard the
+question, and is not fed by it.
 """
 
 from __future__ import annotations
@@ -136,6 +137,7 @@ class Losses:
         self._time_s = max(watched_s(drive) or 0.0 for drive in line.roster.drives)
         self._left = 0  # of this burst
         self._ends_by_stop = False  # this burst
+        self._took_room = False  # the last exchange but stops left none for a stop and all losses
         self._next_s = 0.0
         self._least_s = float("inf")
         self._least_at_s = 0.0
@@ -144,15 +146,19 @@ class Losses:
     def said(self, address: int, now_s: float) -> None:
         """A telegram goes out; decide whether its answer is lost."""
         self._sim.drive_faults.clear()
+        is_stop = self._is_stop()
+        took_room = self._took_room
+        if not is_stop:
+            self._took_room = self._leaves_no_room(stops=1)
         if now_s < self._next_s:
             return
-        too_long = not self._left and self._leaves_no_room()
-        if self._left and self._ends_by_stop and self._is_stop():
+        too_long = not self._left and (took_room if is_stop else self._leaves_no_room())
+        if self._left and self._ends_by_stop and is_stop:
             self._end_burst(now_s)
         elif not self._left and self._is_worst(now_s):
             self._left = 1 if too_long else self._count
-            self._ends_by_stop = self._leaves_no_room(stops=1)
-        elif too_long:
+            self._ends_by_stop = not is_stop and self._took_room
+        elif too_long and not is_stop:
             self._next_s = now_s + self._time_s
         if self._left and address % 10:
             self._left -= 1

@@ -32,6 +32,7 @@ from lecombus.supervision.watchdogs import REMARK
 from proof.lines import RandomLine
 from proof.losses import TolerantLine
 from proof.telegrams import Telegram
+from support.lecom_loop import lecom_loop
 
 __all__ = ["Shown"]
 
@@ -134,7 +135,8 @@ class Shown:
         now_s = self._clock()
         self._sim.advance(now_s)
         tried_s = now_s - asked_s
-        if outcome == Outcome.UNKNOWN and tried_s < LEAST_TRIED_S:
+        two = lecom_loop(self._site.worker).second_answers(now_s).may_be_two(drive)
+        if outcome == Outcome.UNKNOWN and tried_s < LEAST_TRIED_S and not two:
             self._say(f"the stop of {drive} was given up after {tried_s:.1f} s")
         model = self._sim[drive].model
         standing = model.pulses_off() or model.stop_wanted()

@@ -159,9 +159,9 @@ after a disturbance writes take no longer than before it; its last second answer
 COUNTED_S: Final = 60.0
 """For this long second answers are counted, seconds."""
 
-LATELY_S: Final = 0.2
-LATELY_CHARS: Final = 20
-"""The second of two drives at one address has answered so long after the first, at most: seconds
+LATELY_S: Final = 0.3
+LATELY_CHARS: Final = 40
+"""So long after the question the second of two drives at one address has answered, at most: seconds
 and characters."""
 
 
@@ -194,6 +194,9 @@ class Duplicates:
             self._other[field] = last[1]
             self._other_ended[field] = self._ended.get(field, last[1])
         self._last[field] = (drive, at_s)
+        self._lately.append((at_s, field, drive))
+        while self._lately[0][0] < at_s - self._lately_s:
+            self._lately.popleft()
 
     def ended(self, field: bytes, at_s: float) -> None:
         """Note that the exchange with the drive that was asked last for this has ended.
@@ -201,11 +204,6 @@ class Duplicates:
         Needed once a second answer has come.
         """
         self._ended[field] = at_s
-        last = self._last.get(field)
-        if last is not None:
-            self._lately.append((at_s, field, last[0]))
-            while self._lately[0][0] < at_s - self._lately_s:
-                self._lately.popleft()
 
     def other_ended_s(self, field: bytes, drive: str) -> float:
         """Return when an exchange of another drive with such an answer ended; minus infinity: none.
@@ -230,8 +228,8 @@ class Duplicates:
     def came(self, field: bytes, at_s: float) -> None:
         """Record an answer without an open request."""
         self.came_once = True
-        whose = {name for ended_s, one, name in self._lately
-                 if one == field and ended_s >= at_s - self._lately_s}  # fmt: skip
+        whose = {name for asked_s, one, name in self._lately
+                 if one == field and asked_s >= at_s - self._lately_s}  # fmt: skip
         self._second.append((at_s, whose.pop() if len(whose) == 1 else None))
 
     def doubtful(self, now_s: float) -> bool:
