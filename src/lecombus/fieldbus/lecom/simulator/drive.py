@@ -285,7 +285,7 @@ class SimDrive:
         """How long a write is processed by a drive that takes it at the end of that.
 
         Returns:
-            Seconds, 0 where the drive acknowledges first; None: it does not hear.
+            Seconds; None: it does not hear.
         """
         model = self.model
         model.advance(now_s)
