@@ -272,7 +272,7 @@ def test_a_stop_is_not_proven_where_others_are_asked_for_the_same_all_the_time()
         if job.step.kind is StepKind.WRITE:
             result: Result = RESULTS["ack"]
             sent += 1
-        elif job.step.apart and job.instead_of_reading_s(now_s, now_s) is None:
+        elif job.step.apart and job.instead_of_reading_s(now_s, now_s, now_s) is None:
             continue
         else:
             assert not job.step.apart
@@ -287,9 +287,40 @@ def test_a_stop_is_not_proven_where_others_are_asked_for_the_same_all_the_time()
 def test_a_stop_that_waits_for_a_pause_is_not_sent_again_and_is_proven_in_it() -> None:
     job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=2)
     job.advance(RESULTS["ack"])
-    assert job.instead_of_reading_s(1.0, 1.0) is None
+    assert job.instead_of_reading_s(1.0, 1.0, 1.04) is None
     assert job.step.apart
     assert (job.advance(value(150, "H0080")) or (None,))[0] is VERIFIED
+
+
+def test_a_stop_that_waits_for_other_drives_late_answers_is_sent_again_until_it_is_heard() -> None:
+    job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=0, said=True)
+    assert job.instead_of_reading_s(1.0, 1.0, 3.0) == 0.0
+    assert job.step.kind is StepKind.WRITE
+    job.advance(late(RESULTS["ack"], 1.0))
+    waits = [
+        job.instead_of_reading_s(at_s, at_s, at_s + 2.0)
+        for at_s in (1.1, 6.2, 7.2)  # at 6.2 its time is over: a second more
+    ]
+    assert waits == [None, None, 0.0]
+    assert not job.step.apart
+    outcome, reason = job.advance(late(value(150, "H0080"), 7.2)) or (None, "")
+    assert outcome is UNKNOWN
+    assert "late answers come on this line" in reason
+
+
+def test_where_late_answers_may_come_another_code_is_read_too_but_alone_it_proves_nothing() -> None:
+    duplicates = Duplicates()
+    duplicates.unanswered(b"50", "b", 0.1)
+    duplicates.came(b"50", 0.9)
+    for form in Form:
+        duplicates.unanswered(encode_code(Code(150), form), "b", 1.0)
+    job = StopJob(
+        STATION, StopAction.INHIBIT, word=lambda: None, retries=0, duplicates=duplicates
+    )  # fmt: skip
+    job.advance(late(RESULTS["ack"], 1.0))
+    assert proven(job, {40: "0", 68: "H0080", 150: "H0080", 9: "1"}, 1.1) == (
+        "40s 40e 68s 68e 150s 9s", (VERIFIED, "inhibit: C0150 reads H0080"),
+    )  # fmt: skip
 
 
 def test_the_reading_back_of_a_write_is_kept_apart_too_and_not_without_end() -> None:
@@ -556,7 +587,7 @@ def test_a_word_of_more_than_16_bits_is_no_control_word() -> None:
 def test_a_word_that_may_not_be_read_now_makes_an_inhibit_of_the_quick_stop() -> None:
     job = StopJob(STATION, StopAction.QUICK_STOP, word=lambda: None, retries=1)
     assert job.step.kind is StepKind.READ
-    assert job.instead_of_reading_s(0.0, 0.4) == 0.0
+    assert job.instead_of_reading_s(0.0, 0.4, 0.4) == 0.0
     assert job.step == JobStep(StepKind.WRITE, Code(40), Value.parse("0"))
 
 
@@ -580,7 +611,7 @@ def test_a_stop_is_said_again_while_its_proof_may_not_be_read(
     for name in results.split():
         job.advance(value(150, "H0080") if name == "shown" else RESULTS[name])
     assert job.step.kind is StepKind.READ
-    found_s = job.instead_of_reading_s(at_s, until_s)
+    found_s = job.instead_of_reading_s(at_s, until_s, until_s)
     assert found_s == (None if after_s is None else pytest.approx(after_s))
     assert job.step.kind is (StepKind.READ if after_s is None else StepKind.WRITE)
 
@@ -856,4 +887,4 @@ def test_nor_does_one_whose_word_cannot_be_read(result: str) -> None:
 def test_nor_one_whose_word_may_not_be_read_now() -> None:
     job = hoist(None)
     assert job.step.code == Code(135)
-    assert job.instead_of_reading_s(0.0, 0.4) is None
+    assert job.instead_of_reading_s(0.0, 0.4, 0.4) is None

@@ -7,7 +7,12 @@ import pytest
 from lecombus.drives import StopAction, WriteClass, family
 from lecombus.fieldbus.costs import LineTiming
 from lecombus.fieldbus.lecom.exchanges.jobs import MulticastJob, ReadJob, WriteJob
-from lecombus.fieldbus.lecom.exchanges.late_answers import Duplicates, PendingLateAnswers
+from lecombus.fieldbus.lecom.exchanges.late_answers import (
+    COPY_S,
+    DOUBTED_S,
+    Duplicates,
+    PendingLateAnswers,
+)
 from lecombus.fieldbus.lecom.exchanges.prepared_telegrams import PreparedTelegram, TelegramPreparer
 from lecombus.fieldbus.lecom.exchanges.stop_job import StopJob
 from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
@@ -128,6 +133,75 @@ def test_where_answers_come_twice_no_proof_is_read_directly_behind_another_drive
     for form in Form:  # the drive's own questions keep it from nothing: one of both is sent
         asked(form, "a", 1.5)
     ask(where, proving(duplicates), 1.51, urgent=True)
+
+
+def test_where_answers_come_too_late_no_proof_is_read_that_another_drive_may_still_answer() -> None:
+    duplicates, word = Duplicates(), Code(135)
+    where = TelegramPreparer(TIMING, PendingLateAnswers(0.5), duplicates)
+    forms = [field(word, form) for form in Form]
+    for at_s, one in zip((1.0, 1.2), forms, strict=True):
+        duplicates.unanswered(one, "b", at_s)
+    ask(where, proving(duplicates), 1.8, urgent=True)  # nothing came late yet
+    duplicates.unanswered(field(Code(50)), "c", 1.1)
+    duplicates.came(field(Code(50)), 1.8)
+    assert where.ask(proving(duplicates), 1.8, urgent=True) == pytest.approx(1.0 + COPY_S)
+    ask(where, ReadJob(station(), word, 0), 1.8)  # it proves nothing
+    duplicates.unanswered(forms[0], "a", 2.0)  # its own answer is no other drive's
+    duplicates.late_came(forms[0])  # of a or b: not known
+    assert where.ask(proving(duplicates), 2.0, urgent=True) == pytest.approx(1.0 + COPY_S)
+    duplicates.late_came(forms[1])
+    assert ask(where, proving(duplicates), 2.0, urgent=True).ask.field == forms[1]
+    assert ask(where, proving(duplicates), 1.0 + COPY_S, urgent=True).ask.field in forms
+    duplicates.unanswered(forms[0], "b", 1.8 + DOUBTED_S)
+    duplicates.unanswered(forms[1], "b", 1.8 + DOUBTED_S)
+    ask(where, proving(duplicates), 1.9 + DOUBTED_S, urgent=True)  # the last came long ago
+
+
+@pytest.mark.parametrize(
+    ("unanswered_s", "late"),
+    [
+        (None, False),  # all have answered: it is a second one
+        (1.0, True),
+        (-2.0, False),  # no answer is so late
+    ],
+)
+def test_which_answers_without_a_request_are_late(
+    *, unanswered_s: float | None, late: bool
+) -> None:
+    duplicates, one = Duplicates(), field(Code(50))
+    if unanswered_s is not None:
+        duplicates.unanswered(one, "b", unanswered_s)
+    duplicates.came(one, 2.1)
+    assert is_late(duplicates, 2.2) is late
+
+
+def test_answers_are_late_where_more_of_them_may_be_late_than_are_second_ones() -> None:
+    duplicates, one = Duplicates(), field(Code(50))
+
+    def come(*, second: int, late: int) -> None:
+        for _ in range(second):
+            duplicates.came(one, 1.0)
+        for _ in range(late):
+            duplicates.unanswered(one, "b", 1.0)
+            duplicates.came(one, 1.0)
+
+    come(second=2, late=2)
+    assert not is_late(duplicates, 1.1)
+    come(second=0, late=30)
+    assert is_late(duplicates, 1.1)
+    come(second=10, late=0)
+    assert is_late(duplicates, 1.1)
+    come(second=30, late=10)
+    assert not is_late(duplicates, 1.1)
+    duplicates.unanswered(one, "b", 1.0 + DOUBTED_S)
+    duplicates.came(one, 1.0 + DOUBTED_S)
+    assert is_late(duplicates, 1.1 + DOUBTED_S), "those before came too long ago"
+
+
+def is_late(duplicates: Duplicates, at_s: float) -> bool:
+    """Return whether another drive's answer, missing since then, is waited for."""
+    duplicates.unanswered(field(Code(135)), "b", at_s)
+    return duplicates.late_until_s(field(Code(135)), "a") == at_s + COPY_S
 
 
 def test_a_code_only_the_extended_form_can_say_waits_for_that() -> None:

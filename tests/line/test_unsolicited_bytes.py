@@ -11,7 +11,11 @@ from hypothesis import strategies as st
 from lecombus.drives import family
 from lecombus.drives.measured import MeasuredTimes
 from lecombus.fieldbus.lecom.exchanges.idle_receive import UnsolicitedBytes
-from lecombus.fieldbus.lecom.exchanges.late_answers import PendingLateAnswers, UnansweredRead
+from lecombus.fieldbus.lecom.exchanges.late_answers import (
+    Duplicates,
+    PendingLateAnswers,
+    UnansweredRead,
+)
 from lecombus.fieldbus.lecom.protocol.addressing import Form, encode_code
 from lecombus.fieldbus.lecom.protocol.exchange import ACK_FIELD
 from lecombus.fieldbus.lecom.protocol.parser import with_parity
@@ -28,7 +32,7 @@ def doubtful(*fields: bytes) -> tuple[PendingLateAnswers, UnsolicitedBytes]:
     late_answers = PendingLateAnswers(0.5)
     for field in fields:
         late_answers.add(field, 0.0)
-    return late_answers, UnsolicitedBytes(late_answers)
+    return late_answers, UnsolicitedBytes(late_answers, Duplicates())
 
 
 def test_a_late_answer_ends_its_own_doubt_and_no_other() -> None:
@@ -108,7 +112,7 @@ def late_twice(
     late_answers: PendingLateAnswers, field: bytes, one: UnansweredRead, *others: bytes
 ) -> None:
     """Let an answer come 0.3 s after the request, two times, others being in doubt too."""
-    strays = UnsolicitedBytes(late_answers)
+    strays = UnsolicitedBytes(late_answers, Duplicates())
     for _ in range(2):
         for other in others:
             late_answers.add(other, one.said_s + 0.1)
@@ -138,7 +142,7 @@ def test_it_tells_nothing_when_it_answers_something_else() -> None:
 
 def test_it_tells_nothing_when_two_were_asked_the_same() -> None:
     late_answers = PendingLateAnswers(0.5)
-    strays = UnsolicitedBytes(late_answers)
+    strays = UnsolicitedBytes(late_answers, Duplicates())
     one, two = asked(5.0), asked(5.2)
     for _ in range(2):
         late_answers.add(FIELD, 5.1, one)
@@ -149,7 +153,7 @@ def test_it_tells_nothing_when_two_were_asked_the_same() -> None:
 
 def test_it_tells_nothing_after_its_time() -> None:
     late_answers = PendingLateAnswers(0.5)
-    strays, one = UnsolicitedBytes(late_answers), asked(5.0)
+    strays, one = UnsolicitedBytes(late_answers, Duplicates()), asked(5.0)
     for _ in range(2):
         late_answers.add(FIELD, 5.1, one)
         strays.feed(LATE, 5.7)

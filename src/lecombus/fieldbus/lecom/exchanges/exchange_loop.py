@@ -33,6 +33,7 @@ from typing import Final
 
 from lecombus.errors import LineLostError
 from lecombus.fieldbus.costs import LineTiming
+from lecombus.fieldbus.lecom.address_codes import address_code
 from lecombus.fieldbus.lecom.protocol.exchange import Exchange, Result
 from lecombus.fieldbus.loop_interface import (
     ExchangeReport,
@@ -156,6 +157,10 @@ logger = logging.getLogger("lecombus.line.exchange_loop")
 
 LATE_S: Final = 0.002
 """If a timer fires later than this, bytes may have arrived that were not read yet, seconds."""
+
+LOOK_AGAIN_S: Final = 0.2
+"""A reading that is kept apart from other drives' may be given up before its pause comes: that is
+checked so often, seconds."""
 
 LONGEST_REST_S: Final = 1.0
 """An idle line checks the schedule at least this often; the count of checks is its heartbeat."""
@@ -401,18 +406,20 @@ class LecomExchangeLoop:
             prepared = self._preparer.ask(job, now, urgent=request.priority is Priority.STOP)
             if type(prepared) is float and isinstance(job, ReadBackJob | WriteJob):
                 if job.waits_apart(now, self._preparer.late_until_s(job, now)):
-                    return prepared
+                    return min(prepared, now + LOOK_AGAIN_S)
                 prepared = self._preparer.ask(job, now, urgent=False)
             return prepared
         if job.asks_for_word:
             self._publish()  # the job uses the control word as of the last exchange
         prepared = self._preparer.ask(job, now, urgent=True)
         if not isinstance(prepared, PreparedTelegram):
-            pause_s = job.instead_of_reading_s(now, self._preparer.late_until_s(job, now))
+            late_until_s = self._preparer.late_until_s(job, now)
+            pause_s = job.instead_of_reading_s(now, late_until_s, prepared)
             if pause_s:
                 return now + pause_s
-            if pause_s is not None:
-                prepared = self._preparer.ask(job, now, urgent=True)
+            if pause_s is None:
+                return min(prepared, now + LOOK_AGAIN_S)
+            prepared = self._preparer.ask(job, now, urgent=True)
         return prepared
 
     def _begin(self, prepared: PreparedTelegram, now: float, loss: LineLostError | None) -> None:
@@ -612,6 +619,8 @@ class LecomExchangeLoop:
         sent_s = result.started_s + prepared.ask.request_s
         asked = UnansweredRead(job.station, job.step.code, sent_s)
         self._late_answers.add(prepared.ask.field, ended, asked)
+        if job.step.code != address_code(job.station.family):  # another drive's is another value
+            self.duplicates.unanswered(prepared.ask.field, job.station.name, ended)
         silent_s = self._stall.failed(result)
         if silent_s is not None:
             self._connection.reopen(

@@ -147,16 +147,16 @@ class UnsolicitedBytes:
 
     Args:
         late_answers: Is updated when a late answer has come.
-        second: Called with the code field and time of an answer that is not missing.
+        duplicates: Is told of each late answer, and of each that is not missing.
     """
 
     def __init__(
         self,
         late_answers: PendingLateAnswers,
-        second: Callable[[bytes, float], None] = lambda field, now_s: None,
+        duplicates: Duplicates,
     ) -> None:
         self._late_answers = late_answers
-        self._second = second
+        self._duplicates = duplicates
         self._parser = AnswerParser(parity=True)
         # Asked last, and listened for since.
         self.awaited: tuple[bytes, UnansweredRead] | None = None
@@ -199,10 +199,12 @@ class UnsolicitedBytes:
             return False
         if isinstance(answer, ValueAnswer | UnknownCodeAnswer | TransmissionErrorAnswer):
             self._measure(answer.field, now_s)
-            if not self._late_answers.resolve(answer.field):
-                self._second(answer.field, now_s)
+            if self._late_answers.resolve(answer.field):
+                self._duplicates.late_came(answer.field)
+            else:
+                self._duplicates.came(answer.field, now_s)
         elif self._late_answers.blocked_until_s(ACK_FIELD, now_s) <= now_s:
-            self._second(ACK_FIELD, now_s)
+            self._duplicates.came(ACK_FIELD, now_s)
         return True
 
     def _measure(self, field: bytes, now_s: float) -> None:
@@ -314,7 +316,7 @@ class IdleReceive:
         self._schedule = schedule
         self._bus_idle = bus_idle
         self._late_answers = late_answers
-        self._unsolicited = UnsolicitedBytes(late_answers, duplicates.came)
+        self._unsolicited = UnsolicitedBytes(late_answers, duplicates)
         self._extended_listen = ExtendedListen()
         self._awaited: _Awaited | None = None
 

@@ -20,6 +20,9 @@ for its own. It is only known that such answers come, and how long ago another d
 an answer that looks the same (`Duplicates`); `read_back_proof` derives from both how many answers a
 verification needs.
 
+Where answers come later than `late_answer`, what verifies a stop or a write waits for them as long
+as for a second answer (`Duplicates.late_until_s`).
+
 This module only keeps the answers and decides; it sends nothing and waits for nothing.
 Source: EDB2102EN 8.3 (telegrams without address in the answer), 8.3.5 (time monitoring).
 """
@@ -37,7 +40,7 @@ from lecombus.parameters import Code
 
 from ..protocol.exchange import ACK_FIELD
 
-__all__ = ["COPY_S", "Duplicates", "PendingLateAnswers", "UnansweredRead"]
+__all__ = ["COPY_S", "DOUBTED_S", "Duplicates", "PendingLateAnswers", "UnansweredRead"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +153,14 @@ class PendingLateAnswers:
 
 
 COPY_S: Final = 3.0
-"""A second answer may come so long after the first, seconds."""
+"""A second answer may come so long after the first, and a late one after its time-out, seconds."""
+
+LATE_MARGIN_S: Final = 1.0
+"""Whether an answer is late or second is judged with so much more, seconds."""
+
+MOST_MORE: Final = 20
+"""So many answers of one kind decide that the next are of this kind: each of the other kind counts
+one less."""
 
 DOUBTED_S: Final = 50.0
 """For this long after a second answer, a single answer does not verify anything, seconds. A minute
@@ -185,6 +195,9 @@ class Duplicates:
         self._ended: dict[bytes, float] = {}  # when the last such exchange ended
         self._other_ended: dict[bytes, float] = {}
         self._lately: deque[tuple[float, bytes, str]] = deque()
+        self._unanswered: deque[tuple[float, bytes, str]] = deque()  # for `COPY_S`
+        self._late_more = 0  # how many more came that may be late than second ones
+        self._late_s = -math.inf  # when one came last that is later than `late_answer`
         self._second: deque[tuple[float, str | None]] = deque(maxlen=1000)
 
     def asked(self, field: bytes, drive: str, at_s: float) -> None:
@@ -204,6 +217,32 @@ class Duplicates:
         Needed once a second answer has come.
         """
         self._ended[field] = at_s
+
+    def unanswered(self, field: bytes, drive: str, at_s: float) -> None:
+        """Note that a drive's answer that looks like this did not come in time."""
+        self._unanswered.append((at_s, field, drive))
+        while self._unanswered[0][0] < at_s - COPY_S - LATE_MARGIN_S:
+            self._unanswered.popleft()
+
+    def late_came(self, field: bytes) -> None:
+        """Note that a late answer has come.
+
+        Where several drives have not answered, it is not known whose it is: all stay missing.
+        """
+        missing = [one for one in self._unanswered if one[1] == field]
+        if len({name for _, _, name in missing}) == 1:
+            self._unanswered.remove(missing[0])
+
+    def late_until_s(self, field: bytes, drive: str) -> float:
+        """Return until when another drive's late answer may look like this.
+
+        Minus infinity: none may, or none came late for `DOUBTED_S` before it was asked for.
+        """
+        of_others = [
+            at_s for at_s, one, name in self._unanswered
+            if one == field and name != drive and at_s - self._late_s < DOUBTED_S
+        ]  # fmt: skip
+        return max(of_others, default=-math.inf) + COPY_S
 
     def other_ended_s(self, field: bytes, drive: str) -> float:
         """Return when an exchange of another drive with such an answer ended; minus infinity: none.
@@ -226,10 +265,23 @@ class Duplicates:
         return self.doubtful(asked_s) and asked_s - self.other_s(field, drive) < COPY_S
 
     def came(self, field: bytes, at_s: float) -> None:
-        """Record an answer without an open request."""
+        """Record an answer without an open request.
+
+        It is a second one if all drives have answered. If one has not, it may be late, and is taken
+        for that where more such ones come than second ones.
+        """
         self.came_once = True
         whose = {name for asked_s, one, name in self._lately
                  if one == field and asked_s >= at_s - self._lately_s}  # fmt: skip
+        since_s = at_s - COPY_S - LATE_MARGIN_S
+        missing = any(one == field and one_s > since_s for one_s, one, _ in self._unanswered)
+        more = (self._late_more if self.doubtful(at_s) else 0) + (1 if missing else -1)
+        self._late_more = max(-MOST_MORE, min(MOST_MORE, more))
+        if missing:
+            self._late_s = at_s
+            self.late_came(field)
+        if self._late_more <= 0:
+            self._late_s = -math.inf
         self._second.append((at_s, whose.pop() if len(whose) == 1 else None))
 
     def doubtful(self, now_s: float) -> bool:

@@ -160,8 +160,10 @@ class TelegramPreparer:
         for prepared in telegrams:
             until_s = self._late_answers.blocked_until_s(prepared.ask.field, now_s)
             if step is not None and step.apart and self._duplicates.doubtful(now_s):
-                other_s = self._duplicates.other_ended_s(prepared.ask.field, station.name)
-                until_s = max(until_s, other_s + self._apart_s)
+                field = prepared.ask.field
+                other_s = self._duplicates.other_ended_s(field, station.name)
+                late_s = self._duplicates.late_until_s(field, station.name)
+                until_s = max(until_s, other_s + self._apart_s, late_s)
             if until_s <= now_s:
                 return prepared
             free_at_s = min(free_at_s, until_s)

@@ -116,7 +116,7 @@ class ReadBackProof:
         """Return the next reading."""
         self._apart_since_s, self.proves_nothing = None, False
         other_s = self._duplicates.other_s
-        fields = [one for one in self._fields(station, what) if one[0] not in self._shown]
+        fields = self._wanted(station, what)
         if self._has_enough(station, what) and not self._knows_it:
             code = address_code(station.family)
             forms = [form for form in self._forms(station) if form.carries(code)]
@@ -125,7 +125,9 @@ class ReadBackProof:
             return JobStep(StepKind.READ, code, form=form, apart=True)
         if not fields:
             fields = list(self._fields(station, what))
-        _, code, form = min(fields, key=lambda one: other_s(one[0], station.name))
+        _, code, form = min(
+            fields, key=lambda one: (self._late_s(one[0], station), other_s(one[0], station.name))
+        )
         return JobStep(StepKind.READ, code, form=form, apart=True)
 
     def waits_apart(self, now_s: float) -> bool:
@@ -277,21 +279,37 @@ class ReadBackProof:
         return tuple(form for form in station.forms if form not in self._led_astray)
 
     def _has_enough(self, station: Station, what: StopAction | WrittenValue) -> bool:
-        there = sum(1 for _ in self._fields(station, what))
-        return len(self._shown) >= min(WANTED, there)
+        fields = [field for field, _, _ in self._fields(station, what)]
+        enough = len(self._shown) >= min(WANTED, len(fields))
+        return enough and not self._shown.isdisjoint(fields)  # one of the most conclusive code
 
     def _is_old(self, field: bytes, station: Station, now_s: float) -> bool:
         return now_s - self._duplicates.other_s(field, station.name) < COPY_S
 
-    def _fields(
+    def _wanted(
         self, station: Station, what: StopAction | WrittenValue
+    ) -> list[tuple[bytes, Code, AddressForm]]:
+        """Name the answers that have not shown it yet; of other codes where late ones may come."""
+        for all_codes in (False, True):
+            fields = [one for one in self._fields(station, what, all_codes=all_codes)
+                      if one[0] not in self._shown]  # fmt: skip
+            if not fields or not all(self._late_s(one[0], station) for one in fields):
+                break
+        return fields
+
+    def _late_s(self, field: bytes, station: Station) -> float:
+        """Return until when another drive's late answer may pass for it, seconds; 0: none may."""
+        return max(self._duplicates.late_until_s(field, station.name), 0.0)
+
+    def _fields(
+        self, station: Station, what: StopAction | WrittenValue, *, all_codes: bool = False
     ) -> Iterator[tuple[bytes, Code, AddressForm]]:
         """Name the answers that may show it: those of the most conclusive code, in each form.
 
-        Where there is one form only, those of the other codes too.
+        Where there is one form only, those of the other codes too, or if all are asked for.
         """
         codes, forms = _codes(station.family, what), self._forms(station)
-        if len(forms) > 1:
+        if len(forms) > 1 and not all_codes:
             codes = codes[:1]
         for code in codes:
             for form in forms:

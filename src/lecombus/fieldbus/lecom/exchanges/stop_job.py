@@ -222,7 +222,9 @@ class StopJob(StopWork):
         fresh = self._is_ready or max(self.attempts, self._failed_reads) <= self.retries
         return 0.0 if fresh else STOP_PAUSE_S
 
-    def instead_of_reading_s(self, now_s: float, until_s: float) -> float | None:
+    def instead_of_reading_s(
+        self, now_s: float, until_s: float, apart_until_s: float
+    ) -> float | None:
         """Go on with something that can be sent where nothing may be read before a time.
 
         A drive that has not shown the stop may not have heard it, and an old answer may be waited
@@ -232,11 +234,19 @@ class StopJob(StopWork):
             now_s: The time.
             until_s: Until when old answers may come; `now_s`: the reading is only kept apart from
                 another drive's.
+            apart_until_s: Until when it is kept apart.
 
         Returns:
             After how long that can be sent, seconds; None: the reading is waited for.
         """
+        pause_s = max(self.station.hold_s, STOP_PAUSE_S)
+        over = self._since_s is not None and now_s - self._since_s >= self.patience_s
         if until_s <= now_s:
+            if apart_until_s - now_s > pause_s and not over:
+                if not self._proving.acknowledged:
+                    return self._say_again_s(now_s, pause_s)
+                self._step = None  # another code may be read sooner then
+                return None
             if self._proving.waits_apart(now_s):
                 return None
             self._step = self.step._replace(apart=False)
@@ -247,10 +257,12 @@ class StopJob(StopWork):
             code = self.step.code
             self._inhibit(f"needs {code}, which may not be read now: an old answer may still come")
             return 0.0
-        pause_s = max(self.station.hold_s, STOP_PAUSE_S)
-        over = self._since_s is not None and now_s - self._since_s >= self.patience_s
         if self._proving.is_begun or until_s - now_s <= pause_s or over:
             return None
+        return self._say_again_s(now_s, pause_s)
+
+    def _say_again_s(self, now_s: float, pause_s: float) -> float:
+        """Send it again instead of reading; return after how long, seconds."""
         self._checking, self._step = False, None
         return max(self._ended_s + pause_s - now_s, 0.0)
 
@@ -453,8 +465,9 @@ class StopJob(StopWork):
         if not over:
             return None
         return Outcome.UNKNOWN, (
-            f"{self._why}{self.action} was sent, but second answers come on this line, and other "
-            f"drives are asked for {step.code} all the time: no answer is this drive's for certain"
+            f"{self._why}{self.action} was sent, but second or late answers come on this line, and "
+            f"other drives are asked for {step.code} all the time: no answer is this drive's for "
+            "certain"
         )
 
     def _not_shown(self, step: JobStep, reads: str) -> Verdict:
