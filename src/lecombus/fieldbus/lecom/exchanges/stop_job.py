@@ -239,7 +239,7 @@ class StopJob(StopWork):
         Returns:
             After how long that can be sent, seconds; None: the reading is waited for.
         """
-        pause_s = max(self.station.hold_s, STOP_PAUSE_S)
+        step, pause_s = self.step, max(self.station.hold_s, STOP_PAUSE_S)
         over = self._since_s is not None and now_s - self._since_s >= self.patience_s
         if until_s <= now_s:
             if apart_until_s - now_s > pause_s and not over:
@@ -249,13 +249,14 @@ class StopJob(StopWork):
                 return None
             if self._proving.waits_apart(now_s):
                 return None
-            self._step = self.step._replace(apart=False)
+            self._step = step._replace(apart=False)
             return 0.0
         if self._learning:
             if not self.may_inhibit:
                 return None
-            code = self.step.code
-            self._inhibit(f"needs {code}, which may not be read now: an old answer may still come")
+            self._inhibit(
+                f"needs {step.code}, which may not be read now: an old answer may still come"
+            )
             return 0.0
         if self._proving.is_begun or until_s - now_s <= pause_s or over:
             return None
