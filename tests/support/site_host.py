@@ -12,7 +12,7 @@ import contextlib
 from collections.abc import Awaitable, Callable, Coroutine, Iterable
 from dataclasses import dataclass, field, replace
 from types import TracebackType
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import anyio
 
@@ -92,8 +92,7 @@ class Recorder:
         return [report.result.kind.value for report in self.reports]
 
 
-@dataclass(frozen=True)
-class Telegram:
+class Telegram(NamedTuple):
     """What the host handed to the port, parity stripped, and when."""
 
     at_s: float

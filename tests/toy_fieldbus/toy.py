@@ -15,24 +15,26 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from lecombus.drives import Family, StopAction, stop_value
+from lecombus.drives import StopAction, stop_value
 from lecombus.errors import ExchangeError, ExchangeRecord, NakError, NoReplyError, UnknownCodeError
 from lecombus.fieldbus.costs import Cost, ExchangeCosts, LineTiming
 from lecombus.fieldbus.loop_interface import (
     AnswerKind,
+    ExchangeLoop,
     ExchangeReport,
     LateWakes,
     Observer,
     OpenConnection,
     ResultKind,
-    SecondAnswerCount,
     WorkerOptions,
 )
 from lecombus.fieldbus.port import Framing, Parity, Port, PortOpener, PortSettings, Receiver
+from lecombus.fieldbus.protocols import Fieldbus
 from lecombus.fieldbus.requests import (
     Job,
     JobStep,
     ReadWork,
+    RequestMaker,
     Station,
     StepKind,
     StopWork,
@@ -160,7 +162,7 @@ class StopJob(_Written, StopWork):
         self.proof_code: Code | None = code
 
 
-class ToyLoop:
+class ToyLoop(ExchangeLoop):
     """One exchange after the other; `fieldbus.loop_interface` says what it owes the schedule."""
 
     def __init__(self, schedule: Schedule, port: OpenConnection, observer: Observer) -> None:
@@ -189,9 +191,6 @@ class ToyLoop:
 
     def stop_came(self) -> None:
         pass  # `nudge` comes next, and an exchange is short
-
-    def second_answers(self, now_s: float) -> SecondAnswerCount:
-        return SecondAnswerCount(0, {})
 
     def lost(self, exc: Exception | None) -> None:
         self._connection.note_loss(exc)
@@ -274,7 +273,7 @@ def cost(timing: LineTiming) -> Cost:
     return Cost(wire_s + 0.002, late_s, wire_s + late_s, late_s, wire_s + late_s, wire_s)
 
 
-class Costs:
+class Costs(ExchangeCosts):
     def reads(self, timing: LineTiming, drive: DriveEntry, code: Code) -> Sequence[Cost]:
         return [cost(timing)]
 
@@ -285,17 +284,21 @@ class Costs:
         return [cost(timing)]
 
 
-@dataclass(frozen=True)
-class Maker:
-    timing: LineTiming
-    retries: int
-    count: Callable[[Priority, Outcome], None]
+class Maker(RequestMaker):
+    def __init__(
+        self, timing: LineTiming, retries: int, count: Callable[[Priority, Outcome], None]
+    ) -> None:
+        self._timing, self._retries, self._count = timing, retries, count
+
+    @property
+    def timing(self) -> LineTiming:
+        return self._timing
 
     def _make(
         self, station: Station, priority: Priority, settle: Settle, work: Job, **more: Any
     ) -> Request:
         def end(outcome: Outcome, reason: str) -> None:
-            self.count(priority, outcome)
+            self._count(priority, outcome)
             settle(outcome, reason)
 
         price = cost(self.timing)
@@ -306,11 +309,8 @@ class Maker:
         retries: int | None = None, instead: tuple[Code, ...] = (),
         expires_at_s: float | None = None,
     ) -> Request:  # fmt: skip
-        job = ReadJob(station, code, self.retries if retries is None else retries)
+        job = ReadJob(station, code, self._retries if retries is None else retries)
         return self._make(station, priority, settle, job, expires_at_s=expires_at_s)
-
-    def feed(self, station: Station, instead: tuple[Code, ...]) -> Request:
-        return self.read(station, station.family.feed_code, Priority.WATCHDOG, retries=0)
 
     def cost_of_read_s(self, station: Station, code: Code) -> float:
         return cost(self.timing).expected_s
@@ -326,24 +326,9 @@ class Maker:
         more = {"expires_at_s": expires_at_s, "writes": True, "hold_s": station.hold_s}
         return self._make(station, urgency or Priority.CONTROL, settle, job, **more)
 
-    def read_back(
-        self, station: Station, code: Code, value: Value, priority: Priority, *, settle: Settle,
-        expires_at_s: float,
-    ) -> Request:  # fmt: skip
-        return self.read(station, code, priority, settle=settle, expires_at_s=expires_at_s)
-
     def stop(self, station: Station, action: StopAction, *, settle: Settle, **_: Any) -> Request:
         job = StopJob(station, action)
         return self._make(station, Priority.STOP, settle, job, stops=(station.name,))
-
-    def multicast(self, *args: Any, **more: Any) -> Request:
-        raise AssertionError("the toy has no multicast address")
-
-    def shared_form(self, stations: Sequence[Station], code: Code) -> AddressForm | None:
-        return None
-
-    def probe(self, station: Station) -> Callable[[], Request]:
-        return lambda: self.read(station, station.family.feed_code, Priority.CYCLIC, retries=0)
 
 
 class SimulatedLine:
@@ -389,49 +374,21 @@ class SimulatedLine:
         return f"toy: {len(self.drives)} drives in memory"
 
 
-class Toy:
+class Toy(Fieldbus):
     name = "toy"
-    rules: ParameterRules = RULES
-    bauds: tuple[int, ...] = (4800, 9600)
+    rules = RULES
+    bauds = (4800, 9600)
     addresses = "1 to 9"
     bits_per_char = 10
-    costs: ExchangeCosts = Costs()
-    families: tuple[str, ...] = ("toymotor",)
-    unused_keys: frozenset[str] = frozenset({"echo", "parity", "addressing"})
+    costs = Costs()
+    families = ("toymotor",)
+    unused_keys = frozenset({"echo", "parity", "addressing"})
     lowest_address, highest_address = 1, 9
-    address_schema: Mapping[str, Any] = MappingProxyType({})
     most_drives: Mapping[str, int] = MappingProxyType({"rs232": 1, "rs485": 9, "fibre": 9})
     most_with_repeaters = 9
 
     def read_family_file(self, name: str) -> str:
         return (Path(__file__).parent / name).read_text(encoding="utf-8")
-
-    def is_address(self, address: int) -> bool:
-        return 1 <= address <= 9
-
-    def wrong_address(self, address: int) -> tuple[str, str] | None:
-        return None if self.is_address(address) else ("is out of range", "1 to 9 would be right")
-
-    def uncarried(self, code: Code) -> tuple[str, str]:
-        return f"{code} has a subcode", "there are none"
-
-    def group_reach(self, address: int) -> Sequence[int]:
-        return ()
-
-    def multicast_address(self, members: frozenset[int], drives: frozenset[int]) -> int | None:
-        return None
-
-    def address_code(self, family: Family) -> Code | None:
-        return None
-
-    def moves_drive(self, family: Family, code: Code) -> str | None:
-        return None
-
-    def shifting_codes(self, family: Family) -> tuple[Code, ...]:
-        return ()
-
-    def unshifted(self, forms: tuple[AddressForm, ...]) -> tuple[AddressForm, ...]:
-        return forms
 
     def framing(self, parity: Parity) -> Framing:
         return "8N1"

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, Final, Protocol
 
 from lecombus.drives import Family, add_families, family
@@ -42,6 +43,9 @@ __all__ = [
 class Fieldbus(Protocol):
     """A line protocol.
 
+    What has a body here is right for one without multicasts and with one way to address a drive;
+    a protocol that inherits need not say it.
+
     Attributes:
         name: The roster's word for it, `line.protocol`.
         rules: What it can carry of codes and values.
@@ -65,12 +69,12 @@ class Fieldbus(Protocol):
     bits_per_char: int
     costs: ExchangeCosts
     families: tuple[str, ...]
-    unused_keys: frozenset[str]
     lowest_address: int
     highest_address: int
-    address_schema: Mapping[str, Any]
     most_drives: Mapping[str, int]
     most_with_repeaters: int
+    unused_keys: frozenset[str] = frozenset()
+    address_schema: Mapping[str, Any] = MappingProxyType({})
 
     def read_family_file(self, name: str) -> str:
         """Return the text of a data file of its families, by its name with `.yaml`.
@@ -81,21 +85,29 @@ class Fieldbus(Protocol):
 
     def wrong_address(self, address: int) -> tuple[str, str] | None:
         """Return what is wrong with a drive's address and what would be right; None: nothing."""
+        if self.is_address(address):
+            return None
+        return "is out of range", f"{self.addresses} would be right"
 
     def uncarried(self, code: Code) -> tuple[str, str]:
         """Return what to say of a code that the drive's addressing cannot carry, and the remedy."""
+        return f"no telegram can carry {code}", "leave it out"
 
     def group_reach(self, address: int) -> Sequence[int]:
         """Return the addresses that a multicast to an address reaches."""
+        return ()
 
     def is_address(self, address: int) -> bool:
         """Return whether a single drive can have an address."""
+        return self.lowest_address <= address <= self.highest_address
 
     def multicast_address(self, members: frozenset[int], drives: frozenset[int]) -> int | None:
         """Return the address that reaches exactly these members of a line's drives; None: none."""
+        return None
 
     def address_code(self, family: Family) -> Code | None:
         """Return the code that holds a drive's own address; None: no code does."""
+        return None
 
     def moves_drive(self, family: Family, code: Code) -> str | None:
         """Return how a drive goes away when a code is written; None: it stays.
@@ -103,12 +115,15 @@ class Fieldbus(Protocol):
         Returns:
             Words to stand behind "C0009 of feeder", such as `is its address`.
         """
+        return None
 
     def shifting_codes(self, family: Family) -> tuple[Code, ...]:
         """Return the codes that, if not 0, move what later telegrams of some forms reach."""
+        return ()
 
     def unshifted(self, forms: tuple[AddressForm, ...]) -> tuple[AddressForm, ...]:
         """Return those of some forms that `shifting_codes` do not touch."""
+        return forms
 
     def framing(self, parity: Parity) -> Framing:
         """Return how the port frames characters.

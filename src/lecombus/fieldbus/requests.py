@@ -196,6 +196,8 @@ class RequestMaker(Protocol):
     `settle` is called with the outcome at the end, `expires_at_s` is the time from which on a
     request that was not begun expires (None: never), `retries` is how often a failed attempt is
     repeated (None: as the roster says).
+
+    What has a body here is right for a protocol without multicasts whose answers carry an address.
     """
 
     @property
@@ -217,6 +219,9 @@ class RequestMaker(Protocol):
 
     def feed(self, station: Station, instead: tuple[Code, ...]) -> Request:
         """Make the read that feeds a watchdog."""
+        return self.read(
+            station, station.family.feed_code, Priority.WATCHDOG, retries=0, instead=instead
+        )
 
     def cost_of_read_s(self, station: Station, code: Code) -> float:
         """Give the line time of a read that is answered, seconds."""
@@ -248,6 +253,7 @@ class RequestMaker(Protocol):
         expires_at_s: float,
     ) -> Request:
         """Make a request that reads whether a code holds a value (`ReadWork`)."""
+        return self.read(station, code, priority, settle=settle, expires_at_s=expires_at_s)
 
     def stop(
         self,
@@ -307,9 +313,12 @@ class RequestMaker(Protocol):
             stops: The drives that it stops.
             expires_at_s: See above.
         """
+        raise RuntimeError("this protocol has no multicasts")
 
     def shared_form(self, stations: Sequence[Station], code: Code) -> AddressForm | None:
         """Give the form of one telegram that all of several drives take; None: there is none."""
+        return None
 
     def probe(self, station: Station) -> Callable[[], Request]:
         """Give the maker of the read that asks an offline drive whether it is back."""
+        return lambda: self.read(station, station.family.feed_code, Priority.CYCLIC, retries=0)
