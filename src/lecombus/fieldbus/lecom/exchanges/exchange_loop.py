@@ -33,7 +33,6 @@ from typing import Final
 
 from lecombus.errors import LineLostError
 from lecombus.fieldbus.costs import LineTiming
-from lecombus.fieldbus.lecom.address_codes import address_code
 from lecombus.fieldbus.lecom.protocol.exchange import Exchange, Result
 from lecombus.fieldbus.loop_interface import (
     ExchangeReport,
@@ -619,8 +618,7 @@ class LecomExchangeLoop:
         sent_s = result.started_s + prepared.ask.request_s
         asked = UnansweredRead(job.station, job.step.code, sent_s)
         self._late_answers.add(prepared.ask.field, ended, asked)
-        if job.step.code != address_code(job.station.family):  # another drive's is another value
-            self.duplicates.unanswered(prepared.ask.field, job.station.name, ended)
+        self.duplicates.unanswered(prepared.ask.field, job.station.name, ended)
         silent_s = self._stall.failed(result)
         if silent_s is not None:
             self._connection.reopen(

@@ -199,7 +199,7 @@ class UnsolicitedBytes:
             return False
         if isinstance(answer, ValueAnswer | UnknownCodeAnswer | TransmissionErrorAnswer):
             self._measure(answer.field, now_s)
-            if self._late_answers.resolve(answer.field):
+            if self._late_answers.resolve(answer.field, now_s):
                 self._duplicates.late_came(answer.field)
             else:
                 self._duplicates.came(answer.field, now_s)

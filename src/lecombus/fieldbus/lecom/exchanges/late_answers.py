@@ -129,7 +129,7 @@ class PendingLateAnswers:
                 del self._until_s[field]
         return bool(self._until_s)
 
-    def resolve(self, field: bytes) -> bool:
+    def resolve(self, field: bytes, now_s: float) -> bool:
         """Note that the late answer to a read has come after all.
 
         An acknowledgement is never taken as resolved: noise makes a single byte too easily.
@@ -137,7 +137,7 @@ class PendingLateAnswers:
         Returns:
             Whether it could still have come.
         """
-        return field != ACK_FIELD and self._until_s.pop(field, None) is not None
+        return field != ACK_FIELD and self._until_s.pop(field, now_s) > now_s
 
     def blocked_until_s(self, field: bytes, now_s: float) -> float:
         """Return when a request with this answer may be sent; `now_s` or earlier: now."""
@@ -210,6 +210,8 @@ class Duplicates:
         self._lately.append((at_s, field, drive))
         while self._lately[0][0] < at_s - self._lately_s:
             self._lately.popleft()
+        while self._unanswered and self._unanswered[0][0] < at_s - COPY_S - LATE_MARGIN_S:
+            self._unanswered.popleft()
 
     def ended(self, field: bytes, at_s: float) -> None:
         """Note that the exchange with the drive that was asked last for this has ended.
@@ -221,8 +223,6 @@ class Duplicates:
     def unanswered(self, field: bytes, drive: str, at_s: float) -> None:
         """Note that a drive's answer that looks like this did not come in time."""
         self._unanswered.append((at_s, field, drive))
-        while self._unanswered[0][0] < at_s - COPY_S - LATE_MARGIN_S:
-            self._unanswered.popleft()
 
     def late_came(self, field: bytes) -> None:
         """Note that a late answer has come.

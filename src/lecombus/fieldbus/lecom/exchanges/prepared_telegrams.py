@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 from lecombus.drives.measured import SlowAnswers, slow_from_s
 from lecombus.fieldbus.costs import Cost, LineTiming
+from lecombus.fieldbus.lecom.address_codes import address_code
 from lecombus.fieldbus.lecom.telegram_costs import read_cost, write_cost
 from lecombus.fieldbus.requests import Job, JobStep, Station, StepKind
 from lecombus.parameters import AddressForm, Code
@@ -162,8 +163,9 @@ class TelegramPreparer:
             if step is not None and step.apart and self._duplicates.doubtful(now_s):
                 field = prepared.ask.field
                 other_s = self._duplicates.other_ended_s(field, station.name)
-                late_s = self._duplicates.late_until_s(field, station.name)
-                until_s = max(until_s, other_s + self._apart_s, late_s)
+                until_s = max(until_s, other_s + self._apart_s)
+                if code != address_code(station.family):  # another drive's is another value
+                    until_s = max(until_s, self._duplicates.late_until_s(field, station.name))
             if until_s <= now_s:
                 return prepared
             free_at_s = min(free_at_s, until_s)
