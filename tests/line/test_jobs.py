@@ -292,26 +292,26 @@ def test_a_stop_that_waits_for_a_pause_is_not_sent_again_and_is_proven_in_it() -
     assert (job.advance(value(150, "H0080")) or (None,))[0] is VERIFIED
 
 
-def test_a_stop_that_waits_for_other_drives_late_answers_is_sent_again_until_it_is_heard() -> None:
+def test_a_stop_that_waits_for_other_drives_late_answers_is_sent_again_until_it_is_shown() -> None:
     job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=0, said=True)
-    assert job.instead_of_reading_s(1.0, 1.0, 3.0) == 0.0
-    assert job.step.kind is StepKind.WRITE
+
+    def waits(at_s: float) -> tuple[float | None, StepKind]:
+        return job.instead_of_reading_s(at_s, at_s, at_s + 2.0), job.step.kind
+
+    assert waits(1.0) == (0.0, StepKind.WRITE)
     job.advance(late(RESULTS["ack"], 1.0))
-    waits = [
-        job.instead_of_reading_s(at_s, at_s, at_s + 2.0)
-        for at_s in (1.1, 6.2, 7.2)  # at 6.2 its time is over: a second more
-    ]
-    assert waits == [None, None, 0.0]
-    assert not job.step.apart
-    outcome, reason = job.advance(late(value(150, "H0080"), 7.2)) or (None, "")
+    assert waits(1.9) == (None, StepKind.READ), "its acknowledgement is believed for a second"
+    assert waits(2.1) == (0.0, StepKind.WRITE)
+    job.advance(late(RESULTS["ack"], 2.1))
+    assert waits(3.0) == (None, StepKind.READ)
+    assert waits(6.1) == (0.0, StepKind.READ), "its time is over: what is read proves nothing"
+    outcome, reason = job.advance(late(value(150, "H0080"), 6.1)) or (None, "")
     assert outcome is UNKNOWN
     assert "late answers come on this line" in reason
 
 
 def test_where_late_answers_may_come_another_code_is_read_too_but_alone_it_proves_nothing() -> None:
-    duplicates = Duplicates()
-    duplicates.unanswered(b"50", "b", 0.1)
-    duplicates.came(b"50", 0.9)
+    duplicates = late_line()
     for form in Form:
         duplicates.unanswered(encode_code(Code(150), form), "b", 1.0)
     job = StopJob(
@@ -321,6 +321,28 @@ def test_where_late_answers_may_come_another_code_is_read_too_but_alone_it_prove
     assert proven(job, {40: "0", 68: "H0080", 150: "H0080", 9: "1"}, 1.1) == (
         "40s 40e 68s 68e 150s 9s", (VERIFIED, "inhibit: C0150 reads H0080"),
     )  # fmt: skip
+
+
+def test_what_was_shown_is_not_read_again_where_that_could_only_keep_others_waiting() -> None:
+    """A reading without an answer would close its form for the proofs of the other drives."""
+    duplicates = late_line()
+    duplicates.unanswered(encode_code(Code(135), Form.EXTENDED), "b", 1.0)
+    job = StopJob(
+        STATION, StopAction.QUICK_STOP, word=lambda: 0, retries=0, duplicates=duplicates
+    )  # fmt: skip
+    job.advance(late(RESULTS["ack"], 1.0))
+    assert (job.step.form, job.step.only) == (Form.STANDARD, False)
+    field = encode_code(Code(135), Form.STANDARD)
+    job.advance(late(answered(ValueAnswer(field, Value.parse("H0008"))), 1.1))
+    assert (job.step.form, job.step.only) == (Form.EXTENDED, True)
+
+
+def late_line() -> Duplicates:
+    """A line on which an answer came later than `late_answer`."""
+    duplicates = Duplicates()
+    duplicates.unanswered(b"50", "b", 0.1)
+    duplicates.came(b"50", 0.9)
+    return duplicates
 
 
 def test_the_reading_back_of_a_write_is_kept_apart_too_and_not_without_end() -> None:

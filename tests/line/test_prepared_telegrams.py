@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from lecombus.drives import StopAction, WriteClass, family
@@ -196,6 +198,29 @@ def test_answers_are_late_where_more_of_them_may_be_late_than_are_second_ones() 
     duplicates.unanswered(one, "b", 1.0 + DOUBTED_S)
     duplicates.came(one, 1.0 + DOUBTED_S)
     assert is_late(duplicates, 1.1 + DOUBTED_S), "those before came too long ago"
+
+
+def test_what_can_no_longer_come_is_not_waited_for_however_long_nothing_else_is_missing() -> None:
+    duplicates, one = Duplicates(), field(Code(135))
+    duplicates.unanswered(one, "b", 1.0)
+    duplicates.came(one, 2.0)
+    duplicates.unanswered(one, "b", 10.0)
+    assert duplicates.late_until_s(one, "a") == 10.0 + COPY_S
+    duplicates.asked(field(Code(50)), "b", 10.0 + COPY_S)
+    assert duplicates.late_until_s(one, "a") == -math.inf
+    duplicates.unanswered(one, "b", 2.0 + DOUBTED_S)
+    assert duplicates.late_until_s(one, "a") == -math.inf, "nothing came late since"
+
+
+def test_what_comes_soon_after_a_port_was_opened_is_neither_late_nor_second() -> None:
+    duplicates, one = Duplicates(), field(Code(135))
+    duplicates.opened(1.0)
+    for _ in range(5):
+        duplicates.came(one, 4.9)
+    assert duplicates.doubtful(5.0)
+    duplicates.unanswered(one, "b", 5.1)
+    duplicates.came(one, 5.9)
+    assert is_late(duplicates, 6.0)
 
 
 def is_late(duplicates: Duplicates, at_s: float) -> bool:

@@ -246,6 +246,7 @@ class LecomExchangeLoop:
         self._preparer.opened(parity=port.carries_parity)
         self._stall.opened()
         self._late_answers.port_opened(loop.time())
+        self.duplicates.opened(loop.time())
         self._idle_receive.opened(loop.time(), self._latency_s, parity=port.carries_parity)
         self._ended = ended = loop.create_future()
         self._wake()

@@ -196,12 +196,15 @@ class Duplicates:
         self._other_ended: dict[bytes, float] = {}
         self._lately: deque[tuple[float, bytes, str]] = deque()
         self._unanswered: deque[tuple[float, bytes, str]] = deque()  # for `COPY_S`
+        self._now_s = -math.inf
+        self._told_apart_from_s = -math.inf
         self._late_more = 0  # how many more came that may be late than second ones
         self._late_s = -math.inf  # when one came last that is later than `late_answer`
         self._second: deque[tuple[float, str | None]] = deque(maxlen=1000)
 
     def asked(self, field: bytes, drive: str, at_s: float) -> None:
         """Note that a drive is asked for an answer that looks like this."""
+        self._now_s = at_s
         last = self._last.get(field)
         if last is not None and last[0] != drive:
             self._other[field] = last[1]
@@ -222,6 +225,7 @@ class Duplicates:
 
     def unanswered(self, field: bytes, drive: str, at_s: float) -> None:
         """Note that a drive's answer that looks like this did not come in time."""
+        self._now_s = at_s
         self._unanswered.append((at_s, field, drive))
 
     def late_came(self, field: bytes) -> None:
@@ -233,16 +237,25 @@ class Duplicates:
         if len({name for _, _, name in missing}) == 1:
             self._unanswered.remove(missing[0])
 
-    def late_until_s(self, field: bytes, drive: str) -> float:
-        """Return until when another drive's late answer may look like this.
+    @property
+    def answers_late(self) -> bool:
+        """Whether an answer came later than `late_answer` within `DOUBTED_S`."""
+        return self._now_s - self._late_s < DOUBTED_S
 
-        Minus infinity: none may, or none came late for `DOUBTED_S` before it was asked for.
+    def late_until_s(self, field: bytes, drive: str) -> float:
+        """Return until when another drive's late answer may look like this; minus infinity: none.
+
+        The time is that of the last thing noted. None may where none came late for `DOUBTED_S`.
         """
-        of_others = [
-            at_s for at_s, one, name in self._unanswered
-            if one == field and name != drive and at_s - self._late_s < DOUBTED_S
-        ]  # fmt: skip
-        return max(of_others, default=-math.inf) + COPY_S
+        if not self.answers_late:
+            return -math.inf
+        of_others = [at_s for at_s, one, name in self._unanswered if one == field and name != drive]
+        until_s = max(of_others, default=-math.inf) + COPY_S
+        return until_s if until_s > self._now_s else -math.inf
+
+    def opened(self, now_s: float) -> None:
+        """A port was opened: what comes soon may be late, though nothing was asked for."""
+        self._told_apart_from_s = now_s + COPY_S + LATE_MARGIN_S
 
     def other_ended_s(self, field: bytes, drive: str) -> float:
         """Return when an exchange of another drive with such an answer ended; minus infinity: none.
@@ -273,16 +286,21 @@ class Duplicates:
         self.came_once = True
         whose = {name for asked_s, one, name in self._lately
                  if one == field and asked_s >= at_s - self._lately_s}  # fmt: skip
+        if at_s >= self._told_apart_from_s:
+            self._tell_apart(field, at_s)
+        self._second.append((at_s, whose.pop() if len(whose) == 1 else None))
+
+    def _tell_apart(self, field: bytes, at_s: float) -> None:
+        """Judge whether late answers come, or second ones: whichever are more."""
         since_s = at_s - COPY_S - LATE_MARGIN_S
         missing = any(one == field and one_s > since_s for one_s, one, _ in self._unanswered)
         more = (self._late_more if self.doubtful(at_s) else 0) + (1 if missing else -1)
         self._late_more = max(-MOST_MORE, min(MOST_MORE, more))
         if missing:
-            self._late_s = at_s
+            self._now_s = self._late_s = at_s
             self.late_came(field)
         if self._late_more <= 0:
             self._late_s = -math.inf
-        self._second.append((at_s, whose.pop() if len(whose) == 1 else None))
 
     def doubtful(self, now_s: float) -> bool:
         """Whether a single answer may be another drive's: a second answer came lately."""

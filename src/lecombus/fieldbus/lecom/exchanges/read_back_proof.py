@@ -128,7 +128,8 @@ class ReadBackProof:
         _, code, form = min(
             fields, key=lambda one: (self._late_s(one[0], station), other_s(one[0], station.name))
         )
-        return JobStep(StepKind.READ, code, form=form, apart=True)
+        only = self.has_shown and self._duplicates.answers_late
+        return JobStep(StepKind.READ, code, form=form, only=only, apart=True)
 
     def waits_apart(self, now_s: float) -> bool:
         """Whether the next reading waits for a pause between questions to other drives.

@@ -48,7 +48,7 @@ from lecombus.schedule.request import Outcome
 
 from ..protocol.telegrams import AckAnswer, NakAnswer, UnknownCodeAnswer, ValueAnswer
 from .jobs import error_of
-from .late_answers import Duplicates
+from .late_answers import COPY_S, Duplicates
 from .read_back_proof import ReadBackProof
 
 __all__ = ["LongestTimes", "StopJob"]
@@ -63,6 +63,9 @@ seconds: on a full line each of them may wait for a round of feeds."""
 UNSHOWN_S = 1.0
 """A quick stop that was acknowledged gets this long to show before it is taken for without effect,
 seconds: with shortened response time a 820X takes a value up 230 ms later (EDB2102EN 6.3.2)."""
+
+BELIEVED_S = 1.0
+"""An acknowledged stop that may not be read back yet is sent again after this time, seconds."""
 
 NO_FALLBACK = "; it was not inhibited instead: the roster says stop_fallback: none"
 
@@ -240,14 +243,13 @@ class StopJob(StopWork):
             After how long that can be sent, seconds; None: the reading is waited for.
         """
         step, pause_s = self.step, max(self.station.hold_s, STOP_PAUSE_S)
-        over = self._since_s is not None and now_s - self._since_s >= self.patience_s
+        tried_s = -math.inf if self._since_s is None else now_s - self._since_s
         if until_s <= now_s:
-            if apart_until_s - now_s > pause_s and not over:
-                if not self._proving.acknowledged:
-                    return self._say_again_s(now_s, pause_s)
-                self._step = None  # another code may be read sooner then
-                return None
-            if self._proving.waits_apart(now_s):
+            if apart_until_s - now_s > pause_s:
+                if tried_s < self.patience_s + (COPY_S if self._proving.is_begun else 0.0):
+                    return self._while_others_are_late_s(now_s, pause_s)
+                self._proving.proves_nothing = True
+            elif self._proving.waits_apart(now_s):
                 return None
             self._step = step._replace(apart=False)
             return 0.0
@@ -258,9 +260,23 @@ class StopJob(StopWork):
                 f"needs {step.code}, which may not be read now: an old answer may still come"
             )
             return 0.0
+        over = tried_s >= self.patience_s
         if self._proving.is_begun or until_s - now_s <= pause_s or over:
             return None
         return self._say_again_s(now_s, pause_s)
+
+    def _while_others_are_late_s(self, now_s: float, pause_s: float) -> float | None:
+        """Send it again until the drive has shown it: it may not have heard it.
+
+        An acknowledgement may be another drive's, and is believed for a time.
+        """
+        acknowledged = self._proving.acknowledged
+        if not acknowledged or (
+            not self._proving.has_shown and now_s - self._ended_s >= BELIEVED_S
+        ):
+            return self._say_again_s(now_s, pause_s)
+        self._step = None  # another code may be read sooner then
+        return None
 
     def _say_again_s(self, now_s: float, pause_s: float) -> float:
         """Send it again instead of reading; return after how long, seconds."""
