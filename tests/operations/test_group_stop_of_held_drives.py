@@ -11,6 +11,7 @@ import pytest
 
 from lecombus.drives import StopAction, Verb
 from lecombus.fieldbus.lecom.simulator.faults import Faults
+from lecombus.parameters import Code
 from lecombus.schedule import Outcome
 from support.rosters import roster_text
 from support.site_host import Plant, until, with_plant
@@ -82,3 +83,35 @@ def test_a_member_that_runs_and_missed_the_multicast_is_stopped_before_the_other
         assert written(plant, 19, begin_s)[0] < min(to_others)
 
     with_plant(test, roster("820x", 9600, "3s"))
+
+
+def test_where_the_multicast_is_not_sent_no_member_waits_for_feeds_as_behind_it() -> None:
+    """One member's control word turns out to be another one while the multicast waits."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        for name in NAMES:
+            plant.line[name].model.write_control_word("H0008")
+            for code in (135, 68):
+                assert (await plant.site.operations.read(name, Code(code))).value
+        plant.line["d1"].model.write_control_word("H000C")
+        schedule = plant.site.requests.worker.schedule
+        waits_for_feeds = list[bool]()
+
+        async def look() -> None:
+            await until(lambda: len(list(schedule.stops())) == len(NAMES) + 1)
+            waits_for_feeds.append(all(one.yields for one in schedule.stops() if not one.members))
+            await until(lambda: not any(one.members for one in schedule.stops()))
+            waits_for_feeds.append(any(one.yields for one in schedule.stops()))
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(plant.site.operations.read, "d1", Code(135))
+            sent = len(plant.end.sent)
+            await until(lambda: len(plant.end.sent) > sent)
+            tasks.start_soon(look)
+            report = await plant.site.operations.stop(StopAction.QUICK_STOP, "nine")
+        assert report.outcome is Outcome.VERIFIED
+        assert waits_for_feeds == [True, False]
+        assert not [one for one in plant.end.sent if one.data[1:3] == b"10"], "no multicast"
+
+    with_plant(test, roster("820x", 9600, "2s"))

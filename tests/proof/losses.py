@@ -5,9 +5,9 @@ is under way (on a line whose clients ask seldom, only then); the others hit wha
 after it, which by then is mostly feeds. Then
 none for as long as the longest watchdog time. An exchange that leaves no room for that many at any
 time, such as a read of a module's own slow codes, is hit alone, or not at all; where only a stop
-besides is too much, the burst that it begins ends with the first stop, and a stop directly behind
-it is hit alone. Half of the answers are lost on the way back; else the drive has not heard the
-question, and is not fed by it.
+besides is too much, the burst that it begins leaves room for one and ends with it, and a stop
+directly behind it is hit alone. Half of the answers are lost on the way back; else the drive has
+not heard the question, and is not fed by it.
 """
 
 from __future__ import annotations
@@ -158,6 +158,10 @@ class Losses:
         elif not self._left and self._is_worst(now_s):
             self._left = 1 if too_long else self._count
             self._ends_by_stop = not is_stop and self._took_room
+            while self._ends_by_stop and self._left > 1 and self._leaves_no_room(
+                stops=1, lost=self._left
+            ):  # fmt: skip
+                self._left -= 1
         elif too_long and not is_stop:
             self._next_s = now_s + self._time_s
         if self._left and address % 10:
@@ -177,11 +181,12 @@ class Losses:
         under_way = lecom_loop(self._site.worker).under_way
         return under_way is not None and under_way[0].priority is Priority.STOP
 
-    def _leaves_no_room(self, *, stops: int = 0) -> bool:
+    def _leaves_no_room(self, *, stops: int = 0, lost: int | None = None) -> bool:
         """Whether what is sent leaves no room for what is tolerated, whenever it begins.
 
         Args:
             stops: That are answered besides, and wait for nothing.
+            lost: So many answers; None: as many as are tolerated.
         """
         tolerate = self._site.schedule.watchdogs.faults.tolerate
         under_way = lecom_loop(self._site.worker).under_way
@@ -190,7 +195,8 @@ class Losses:
             return False
         cost_s, worst_s = under_way[0].cost_s, under_way[0].worst_s
         lost_s = max(feed.worst_s for feed in feeds.by_drive.values())
-        needed_s = (tolerate - 1) * lost_s + max(worst_s, cost_s + lost_s)
+        lost = tolerate if lost is None else lost
+        needed_s = (lost - 1) * lost_s + max(worst_s, cost_s + lost_s)
         needed_s += stops * feeds.faults.stop_s
         return needed_s > feeds.most_s(under_way[0].drive)[0] + LAST_PART * feeds.shortest_s()
 

@@ -178,9 +178,11 @@ class Stops:
     def _begin_unsaid(self, name: str, action: StopAction) -> None:
         """Have the stop of a drive begin with its own telegram."""
         waiting = self._stops.get((name, action))
-        job = waiting.request.work if waiting is not None else None
-        if isinstance(job, StopWork):
-            job.begin_unsaid()
+        if waiting is None or waiting.request.attempts:
+            return
+        assert isinstance(waiting.request.work, StopWork)
+        waiting.request.work.begin_unsaid()
+        self._context.requests.worker.schedule.yield_no_more(waiting.request)
 
     def _is_being_inhibited(self, name: str) -> bool:
         """Whether a stop is about to change the control word that was read last."""

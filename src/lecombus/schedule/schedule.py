@@ -175,6 +175,10 @@ class Schedule(DriveTable):
         self._lookahead.invalidate()
         return self._waiting.join(stop, yields=yields)
 
+    def yield_no_more(self, stop: Request) -> None:
+        """Let a stop that waits go before feeds after all, unless its drive is silent."""
+        self._waiting.yield_no_more(stop)
+
     def withdraw(self, request: Request, outcome: Outcome, reason: str) -> bool:
         """End a request if it still waits; return whether it did."""
         self._lookahead.invalidate()

@@ -170,12 +170,17 @@ class Waiting:
             return False
         self._serial += 1
         request.serial = self._serial  # writes asked for before the later stop end as well
-        if request.yields and not yields:
+        if not yields:
+            self.yield_no_more(request)
+        self._end_writes(request)
+        return True
+
+    def yield_no_more(self, request: Request) -> None:
+        """Let a stop that waits go before feeds, unless its drive is silent."""
+        if request.yields:
             request.yields = False
             if not self.yields(request):
                 self._move(request, -_LAST)
-        self._end_writes(request)
-        return True
 
     def _move(self, request: Request, by: int) -> None:
         """Give a stop another place; one that waits for a time takes it afterwards."""

@@ -160,6 +160,7 @@ class StopJob(StopWork):
         """The multicast that was to say it was not sent: say it first."""
         if self._since_s is None:
             self._checking, self._least_sayings, self._step = False, LEAST_STOP_ATTEMPTS, None
+            self._repeats = False
 
     @property
     def step(self) -> JobStep:
