@@ -272,7 +272,7 @@ def test_a_stop_is_not_proven_where_others_are_asked_for_the_same_all_the_time()
         if job.step.kind is StepKind.WRITE:
             result: Result = RESULTS["ack"]
             sent += 1
-        elif job.step.apart and job.instead_of_reading_s(now_s, now_s, now_s) is None:
+        elif job.step.apart and job.instead_of_reading_s(now_s, now_s) is None:
             continue
         else:
             assert not job.step.apart
@@ -287,7 +287,7 @@ def test_a_stop_is_not_proven_where_others_are_asked_for_the_same_all_the_time()
 def test_a_stop_that_waits_for_a_pause_is_not_sent_again_and_is_proven_in_it() -> None:
     job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=2)
     job.advance(RESULTS["ack"])
-    assert job.instead_of_reading_s(1.0, 1.0, 1.04) is None
+    assert job.instead_of_reading_s(1.0, 1.0) is None
     assert job.step.apart
     assert (job.advance(value(150, "H0080")) or (None,))[0] is VERIFIED
 
@@ -296,7 +296,7 @@ def test_a_stop_that_waits_for_other_drives_late_answers_is_sent_again_until_it_
     job = StopJob(STATION, StopAction.INHIBIT, word=lambda: None, retries=0, said=True)
 
     def waits(at_s: float) -> tuple[float | None, StepKind]:
-        return job.instead_of_reading_s(at_s, at_s, at_s + 2.0), job.step.kind
+        return job.instead_of_reading_s(at_s, at_s, others_late=True), job.step.kind
 
     assert waits(1.0) == (0.0, StepKind.WRITE)
     job.advance(late(RESULTS["ack"], 1.0))
@@ -609,7 +609,7 @@ def test_a_word_of_more_than_16_bits_is_no_control_word() -> None:
 def test_a_word_that_may_not_be_read_now_makes_an_inhibit_of_the_quick_stop() -> None:
     job = StopJob(STATION, StopAction.QUICK_STOP, word=lambda: None, retries=1)
     assert job.step.kind is StepKind.READ
-    assert job.instead_of_reading_s(0.0, 0.4, 0.4) == 0.0
+    assert job.instead_of_reading_s(0.0, 0.4) == 0.0
     assert job.step == JobStep(StepKind.WRITE, Code(40), Value.parse("0"))
 
 
@@ -633,7 +633,7 @@ def test_a_stop_is_said_again_while_its_proof_may_not_be_read(
     for name in results.split():
         job.advance(value(150, "H0080") if name == "shown" else RESULTS[name])
     assert job.step.kind is StepKind.READ
-    found_s = job.instead_of_reading_s(at_s, until_s, until_s)
+    found_s = job.instead_of_reading_s(at_s, until_s)
     assert found_s == (None if after_s is None else pytest.approx(after_s))
     assert job.step.kind is (StepKind.READ if after_s is None else StepKind.WRITE)
 
@@ -909,4 +909,4 @@ def test_nor_does_one_whose_word_cannot_be_read(result: str) -> None:
 def test_nor_one_whose_word_may_not_be_read_now() -> None:
     job = hoist(None)
     assert job.step.code == Code(135)
-    assert job.instead_of_reading_s(0.0, 0.4, 0.4) is None
+    assert job.instead_of_reading_s(0.0, 0.4) is None

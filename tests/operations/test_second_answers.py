@@ -6,6 +6,7 @@ some drives are dead. `late_answer` is at its default.
 
 from __future__ import annotations
 
+import asyncio
 from decimal import Decimal
 
 import anyio
@@ -16,11 +17,14 @@ from lecombus.drives import StopAction
 from lecombus.fieldbus.lecom.simulator.drive import SimDrive
 from lecombus.fieldbus.lecom.simulator.families.f82xx import Vector8200
 from lecombus.fieldbus.lecom.simulator.faults import parse_faults
+from lecombus.fieldbus.loop_interface import ExchangeReport
 from lecombus.operations.operation_reports import GroupReport
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome
 from support.rosters import roster_text
 from support.site_host import Plant, with_plant
+from support.taps import STRIPPED
+from support.virtual_loop import run
 
 FAMILIES = ("8200vector", "821x", "822x", "smvector", "93xx", "8200vector", "820x", "824x")
 DRIVES = [(f"d{n}", 11 + n, family) for n, family in enumerate(FAMILIES)]
@@ -376,3 +380,58 @@ def test_answers_that_come_twice_from_everybody_are_a_remark_of_the_line() -> No
 
 def test_a_healthy_line_has_no_such_remark() -> None:
     assert remarks("lost=0.05,late=0.05:0.4s") == ({}, "")
+
+
+class StopsAndReports:
+    """Notes stops that go out before the drive's last exchange was reported.
+
+    Without a turnaround nothing else reports it in between.
+    """
+
+    def __init__(self) -> None:
+        self.early: list[tuple[bytes, float]] = []
+        self.stops = 0
+        self._asked: dict[bytes, float] = {}
+        self._reported_s: dict[bytes, float] = {}
+
+    def said(self, data: bytes) -> None:
+        telegram, now_s = data.translate(STRIPPED), asyncio.get_running_loop().time()
+        address = telegram[1:3]
+        if telegram[3:6] == b"\x02=5":  # C0135
+            self.stops += 1
+            if self._reported_s.get(address, 0.0) < self._asked.get(address, 0.0):
+                self.early.append((address, now_s))
+        self._asked[address] = now_s
+
+    def heard(self, data: bytes) -> None:
+        """See `Watch`."""
+
+    def ended(self, report: ExchangeReport) -> None:
+        self._reported_s[b"%02d" % report.address] = report.result.started_s
+
+
+def test_a_quick_stop_is_made_from_the_word_that_the_last_exchange_read() -> None:
+    """Also where it is sent again in place of a reading that waits for late answers."""
+    stops = 0
+
+    async def test(seed: int) -> None:
+        nonlocal stops
+        roster = roster_text(
+            [(name, 11 + n, "8200vector") for n, name in enumerate(SOME)], line="turnaround: 0ms",
+            drive="cyclic: [{code: C0150, every: 200ms}, {code: C0135, every: 200ms}]",
+        )  # fmt: skip
+        plant, watch = Plant(roster, seed=seed), StopsAndReports()
+        plant.watched_by(watch)
+        async with plant:
+            await plant.online(within_s=600.0)
+            for name in SOME:
+                plant.line[name].model.write_control_word("H0000")
+            plant.line.faults = parse_faults("late=0.3:1s-3s")
+            await anyio.sleep(8.0 + 0.37 * (seed % 7))
+            await plant.site.operations.stop(StopAction.QUICK_STOP, "all")
+        assert not watch.early, seed
+        stops += watch.stops
+
+    for seed in range(10):
+        run(test(seed))
+    assert stops > 10 * len(SOME)

@@ -414,13 +414,19 @@ class LecomExchangeLoop:
         prepared = self._preparer.ask(job, now, urgent=True)
         if not isinstance(prepared, PreparedTelegram):
             late_until_s = self._preparer.late_until_s(job, now)
-            pause_s = job.instead_of_reading_s(now, late_until_s, prepared)
+            others_late = prepared > now + self._preparer.apart_s
+            pause_s = job.instead_of_reading_s(now, late_until_s, others_late=others_late)
             if pause_s:
                 return now + pause_s
-            if pause_s is None:
-                return min(prepared, now + LOOK_AGAIN_S)
-            prepared = self._preparer.ask(job, now, urgent=True)
-        return prepared
+            if pause_s is not None:
+                if job.asks_for_word:
+                    self._publish()
+                prepared = self._preparer.ask(job, now, urgent=True)
+        return (
+            prepared
+            if isinstance(prepared, PreparedTelegram)
+            else min(prepared, now + LOOK_AGAIN_S)
+        )
 
     def _begin(self, prepared: PreparedTelegram, now: float, loss: LineLostError | None) -> None:
         """Start the exchange of a telegram that was sent; then publish and look ahead."""

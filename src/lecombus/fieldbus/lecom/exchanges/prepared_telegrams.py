@@ -99,7 +99,7 @@ class TelegramPreparer:
         self._duplicates = duplicates
         self._reads: dict[tuple[Station, Code], _Kept] = {}
         self._parity = True
-        self._apart_s = APART_S + APART_CHARS * timing.char_s
+        self.apart_s = APART_S + APART_CHARS * timing.char_s
         self.gap_s = 5.0 * timing.char_s + timing.adapter_latency_s
 
     def opened(self, *, parity: bool) -> None:
@@ -163,7 +163,7 @@ class TelegramPreparer:
             if step is not None and step.apart and self._duplicates.doubtful(now_s):
                 field = prepared.ask.field
                 other_s = self._duplicates.other_ended_s(field, station.name)
-                until_s = max(until_s, other_s + self._apart_s)
+                until_s = max(until_s, other_s + self.apart_s)
                 if code != address_code(station.family):  # another drive's is another value
                     until_s = max(until_s, self._duplicates.late_until_s(field, station.name))
             if until_s <= now_s:

@@ -227,7 +227,7 @@ class StopJob(StopWork):
         return 0.0 if fresh else STOP_PAUSE_S
 
     def instead_of_reading_s(
-        self, now_s: float, until_s: float, apart_until_s: float
+        self, now_s: float, until_s: float, *, others_late: bool = False
     ) -> float | None:
         """Go on with something that can be sent where nothing may be read before a time.
 
@@ -238,7 +238,7 @@ class StopJob(StopWork):
             now_s: The time.
             until_s: Until when old answers may come; `now_s`: the reading is only kept apart from
                 another drive's.
-            apart_until_s: Until when it is kept apart.
+            others_late: It is kept apart from another drive's late answer.
 
         Returns:
             After how long that can be sent, seconds; None: the reading is waited for.
@@ -246,7 +246,7 @@ class StopJob(StopWork):
         step, pause_s = self.step, max(self.station.hold_s, STOP_PAUSE_S)
         tried_s = -math.inf if self._since_s is None else now_s - self._since_s
         if until_s <= now_s:
-            if apart_until_s - now_s > pause_s:
+            if others_late:
                 if tried_s < self.patience_s + (COPY_S if self._proving.is_begun else 0.0):
                     return self._while_others_are_late_s(now_s, pause_s)
                 self._proving.proves_nothing = True
