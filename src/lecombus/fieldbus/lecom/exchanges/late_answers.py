@@ -21,7 +21,8 @@ an answer that looks the same (`Duplicates`); `read_back_proof` derives from bot
 verification needs.
 
 Where answers come later than `late_answer`, what verifies a stop or a write waits for them as long
-as for a second answer (`Duplicates.late_until_s`).
+as for a second answer (`Duplicates.late_until_s`). Before the first of them has come nothing waits:
+it takes more answers than other drives have left out (`Duplicates.left_out`).
 
 This module only keeps the answers and decides; it sends nothing and waits for nothing.
 Source: EDB2102EN 8.3 (telegrams without address in the answer), 8.3.5 (time monitoring).
@@ -253,6 +254,19 @@ class Duplicates:
         until_s = max(of_others, default=-math.inf) + COPY_S
         return until_s if until_s > self._now_s else -math.inf
 
+    def left_out(self, field: bytes, drive: str) -> int:
+        """Count the answers that look like this and that other drives owe, `COPY_S` back.
+
+        Each may still come once. The time is that of the last thing noted. None are counted where
+        it is known that answers come late, or twice: what verifies anything is chosen otherwise
+        then.
+        """
+        if not self._unanswered or (self._late_more and self.doubtful(self._now_s)):
+            return 0
+        since_s = self._now_s - COPY_S
+        return sum(one == field and name != drive and at_s > since_s
+                   for at_s, one, name in self._unanswered)  # fmt: skip
+
     def opened(self, now_s: float) -> None:
         """A port was opened: what comes soon may be late, though nothing was asked for."""
         self._told_apart_from_s = now_s + COPY_S + LATE_MARGIN_S
@@ -286,6 +300,8 @@ class Duplicates:
         self.came_once = True
         whose = {name for asked_s, one, name in self._lately
                  if one == field and asked_s >= at_s - self._lately_s}  # fmt: skip
+        if not self.doubtful(at_s):
+            self._late_more = 0
         if at_s >= self._told_apart_from_s:
             self._tell_apart(field, at_s)
         self._second.append((at_s, whose.pop() if len(whose) == 1 else None))
@@ -294,7 +310,7 @@ class Duplicates:
         """Judge whether late answers come, or second ones: whichever are more."""
         since_s = at_s - COPY_S - LATE_MARGIN_S
         missing = any(one == field and one_s > since_s for one_s, one, _ in self._unanswered)
-        more = (self._late_more if self.doubtful(at_s) else 0) + (1 if missing else -1)
+        more = self._late_more + (1 if missing else -1)
         self._late_more = max(-MOST_MORE, min(MOST_MORE, more))
         if missing:
             self._now_s = self._late_s = at_s

@@ -8,6 +8,10 @@ Where that is not enough (the drive did not answer before, or second answers cam
 three things: an acknowledgement by the drive itself, two readings in two forms or of two codes, and
 its address, read from the drive: no other drive of the line gives that answer.
 
+Where other drives have not answered the same within 3 s, their answers may come late and pass for
+this drive's. Each comes once, so it takes one reading more than there are such answers, in the form
+or of the code where they are fewest.
+
 A reading proves no stop that the drive has refused (NAK) and not acknowledged since: something else
 may hold it, and let it go.
 
@@ -87,6 +91,7 @@ class ReadBackProof:
         self._was_offline = offline
         self._ack_is_own = False
         self._shown: set[bytes] = set()
+        self._seen: dict[bytes, tuple[int, int]] = {}  # how often, and how often others may have
         self._is_itself = False
         self._address_read: Value | None = None
         self.has_no_address = False
@@ -110,7 +115,7 @@ class ReadBackProof:
         self._is_refused |= refused
         if not self.acknowledged:
             self.acknowledged = acknowledged
-            self._shown.clear()
+            self._forget()
 
     def step(self, station: Station, what: StopAction | WrittenValue) -> JobStep:
         """Return the next reading."""
@@ -126,7 +131,8 @@ class ReadBackProof:
         if not fields:
             fields = list(self._fields(station, what))
         _, code, form = min(
-            fields, key=lambda one: (self._late_s(one[0], station), other_s(one[0], station.name))
+            fields,
+            key=lambda one: (*self._others_owe(one[0], station), other_s(one[0], station.name)),
         )
         only = self.has_shown and self._duplicates.answers_late
         return JobStep(StepKind.READ, code, form=form, only=only, apart=True)
@@ -154,10 +160,18 @@ class ReadBackProof:
         if not _shows(station.family, what, code, answer.value):
             if self._shown:
                 self._lead_astray(station, answer.field)
-            self._shown.clear()
+            self._forget()
             return False
-        self._shown.add(answer.field)
+        seen, most = self._seen.get(answer.field, (0, 0))
+        others = self._duplicates.left_out(answer.field, station.name)
+        self._seen[answer.field] = (seen + 1, max(most, others))
+        if not others or seen >= max(most, others):
+            self._shown.add(answer.field)
         return True
+
+    def _forget(self) -> None:
+        self._shown.clear()
+        self._seen.clear()
 
     def refused(self, station: Station, code: Code, answer: object) -> bool:
         """Record a read without value; return whether to continue in another way."""
@@ -189,12 +203,12 @@ class ReadBackProof:
     @property
     def is_begun(self) -> bool:
         """Whether the drive acknowledged the stop and showed it, so that only more is wanted."""
-        return self.acknowledged and bool(self._shown)
+        return self.acknowledged and bool(self._seen)
 
     def begin(self) -> None:
         """Start again, with another stop."""
         self.acknowledged = self._ack_is_own = self._is_refused = False
-        self._shown.clear()
+        self._forget()
 
     def is_enough(self, station: Station, what: StopAction | WrittenValue, now_s: float) -> bool:
         """Whether the stop is shown."""
@@ -260,6 +274,8 @@ class ReadBackProof:
     def not_its_own(self, station: Station) -> str:
         """Return why a reading that shows it may be another drive's."""
         what, read = station.family.spoken(address_code(station.family)), self._address_read
+        if self._seen and not self._shown:
+            return "other drives have not answered the same: their late answers may have shown it"
         if self.has_no_address and not self._is_itself:
             return (
                 f"{what}, its address, does not exist in it, and another drive was asked for the "
@@ -294,13 +310,17 @@ class ReadBackProof:
         for all_codes in (False, True):
             fields = [one for one in self._fields(station, what, all_codes=all_codes)
                       if one[0] not in self._shown]  # fmt: skip
-            if not fields or not all(self._late_s(one[0], station) for one in fields):
+            if not fields or not all(any(self._others_owe(one[0], station)) for one in fields):
                 break
         return fields
 
-    def _late_s(self, field: bytes, station: Station) -> float:
-        """Return until when another drive's late answer may pass for it, seconds; 0: none may."""
-        return max(self._duplicates.late_until_s(field, station.name), 0.0)
+    def _others_owe(self, field: bytes, station: Station) -> tuple[float, int]:
+        """Return until when it waits for late answers of other drives, and how many it outnumbers.
+
+        Seconds, 0 if it does not wait; and 0 if one reading is enough.
+        """
+        late_s = max(self._duplicates.late_until_s(field, station.name), 0.0)
+        return late_s, self._duplicates.left_out(field, station.name)
 
     def _fields(
         self, station: Station, what: StopAction | WrittenValue, *, all_codes: bool = False
