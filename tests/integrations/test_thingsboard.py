@@ -98,7 +98,7 @@ def test_a_drive_is_a_device_with_its_good_values_at_the_time_of_their_reading(
     good = {code: value for code, value in document["values"].items()
             if value["quality"] == "good" and value["value"] is not None}  # fmt: skip
     assert found.values == {
-        "state": "online", "doing": "stopped", "fault": 0,
+        "state": "online", "doing": document["motion"]["doing"], "fault": 0,
         **{code: value["value"] for code, value in good.items()},
     }  # fmt: skip
     times = {code: at_ms for values, at_ms in found.telemetry for code in values}
