@@ -7,6 +7,7 @@ some drives are dead. `late_answer` is at its default.
 from __future__ import annotations
 
 import asyncio
+import random
 from decimal import Decimal
 
 import anyio
@@ -19,7 +20,7 @@ from lecombus.fieldbus.lecom.exchanges.read_back_proof import ReadBackProof
 from lecombus.fieldbus.lecom.protocol.addressing import Form
 from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
 from lecombus.fieldbus.lecom.simulator.drive import SimDrive
-from lecombus.fieldbus.lecom.simulator.families.f82xx import Vector8200
+from lecombus.fieldbus.lecom.simulator.families.f82xx import Drive821X, Vector8200
 from lecombus.fieldbus.lecom.simulator.faults import parse_faults
 from lecombus.fieldbus.loop_interface import ExchangeReport
 from lecombus.fieldbus.requests import Station
@@ -216,6 +217,75 @@ def test_as_many_late_answers_as_other_drives_owe_show_nothing() -> None:
     proof.said(acknowledged=True)
     assert proof.take(station, StopAction.INHIBIT, stopped, Code(150))
     assert proof.is_enough(station, StopAction.INHIBIT, 14.2)
+
+
+@pytest.mark.parametrize("action", list(StopAction))
+def test_where_dead_drives_owe_answers_the_most_conclusive_code_still_shows_a_stop(
+    action: StopAction, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One of 821x takes C0135 and C0040 = 0, but its status words never show a stop."""
+    runs_on = set[int]()
+    status_word, operating_status = Drive821X.status_word, Drive821X.operating_status
+
+    def status(self: Drive821X) -> int:
+        return status_word(self) & ~(id(self) in runs_on and 1 << 7)
+
+    def operating(self: Drive821X) -> int:
+        return operating_status(self) & ~(id(self) in runs_on and 1 << 12)
+
+    monkeypatch.setattr(Drive821X, "status_word", status)
+    monkeypatch.setattr(Drive821X, "operating_status", operating)
+    names, roster = [f"d{n}" for n in range(8)], [(f"d{n}", 11 + n, "821x") for n in range(8)]
+    for seed in range(4):
+
+        async def test(plant: Plant, seed: int = seed) -> None:
+            await plant.online(within_s=600.0)
+            for name in names:
+                plant.line[name].model.write_control_word("H0000")
+            await anyio.sleep(1.0 + 0.13 * seed)
+            runs_on.add(id(plant.line[names[seed]].model))
+            for n in (4, 6):
+                plant.line[names[n]].present = False
+            report = await plant.site.operations.stop(action, "all")
+            ended = {one.drive: one.outcome for one in report.members}
+            assert ended.pop(names[seed]) is Outcome.REFUSED, (seed, report)
+            assert [name for name, one in ended.items() if one is not Outcome.VERIFIED] == [
+                "d4",
+                "d6",
+            ]
+
+        with_plant(test, roster_text(roster), seed=seed)
+        runs_on.clear()
+
+
+def test_no_watchdog_acts_because_the_stop_of_a_group_takes_more_readings() -> None:
+    """Two members are dead: the others are read more than once, and feeds go between."""
+    names = [f"d{n}" for n in range(1, 10)]
+    members = [(name, 11 + n, "8200vector") for n, name in enumerate(names)]
+    roster = roster_text(
+        [*members, ("other", 21, "8200vector")],
+        baud=2400, drive="cyclic: [{code: C0150, every: 200ms}]",
+        own={"other": "watchdog: {time: 2s, action: quick-stop, configure: yes}"},
+        sections=f"groups: {{nine: {{members: [{', '.join(names)}]}}}}",
+    )  # fmt: skip
+    for seed in (2, 10):
+
+        async def test(plant: Plant, seed: int = seed) -> None:
+            await plant.online(within_s=600.0)
+            for name in names:
+                plant.line[name].model.write_control_word("H0000")
+            await anyio.sleep(5 + 0.13 * seed)
+            chance = random.Random(seed)
+            for name in chance.sample(names, 2):
+                plant.line[name].present = False
+            await anyio.sleep(chance.choice([0.1, 0.3, 3.0]))
+            acted = plant.line["other"].watchdog_fired
+            report = await plant.site.operations.stop(StopAction.QUICK_STOP, "nine")
+            plant.line.advance(plant.now_s)
+            assert plant.line["other"].watchdog_fired == acted, seed
+            assert sum(one.outcome is Outcome.VERIFIED for one in report.members) == 7, report
+
+        with_plant(test, roster, seed=seed)
 
 
 WORDS = roster_text(

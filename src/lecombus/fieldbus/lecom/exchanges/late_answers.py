@@ -261,7 +261,7 @@ class Duplicates:
         it is known that answers come late, or twice: what verifies anything is chosen otherwise
         then.
         """
-        if not self._unanswered or (self._late_more and self.doubtful(self._now_s)):
+        if not self._unanswered or (self._late_more and self.is_doubtful):
             return 0
         since_s = self._now_s - COPY_S
         return sum(one == field and name != drive and at_s > since_s
@@ -321,6 +321,11 @@ class Duplicates:
     def doubtful(self, now_s: float) -> bool:
         """Whether a single answer may be another drive's: a second answer came lately."""
         return bool(self._second) and now_s - self._second[-1][0] < DOUBTED_S
+
+    @property
+    def is_doubtful(self) -> bool:
+        """`doubtful` at the time of the last thing noted."""
+        return self.doubtful(self._now_s)
 
     def found(self, now_s: float) -> SecondAnswerCount:
         """Count the second answers of the last minute."""

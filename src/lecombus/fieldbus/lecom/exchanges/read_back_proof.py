@@ -10,7 +10,8 @@ its address, read from the drive: no other drive of the line gives that answer.
 
 Where other drives have not answered the same within 3 s, their answers may come late and pass for
 this drive's. Each comes once, so it takes one reading more than there are such answers, in the form
-or of the code where they are fewest.
+where they are fewest. They are of the most conclusive code; where two readings are wanted anyway,
+one may be of another code.
 
 A reading proves no stop that the drive has refused (NAK) and not acknowledged since: something else
 may hold it, and let it go.
@@ -132,7 +133,7 @@ class ReadBackProof:
             fields = list(self._fields(station, what))
         _, code, form = min(
             fields,
-            key=lambda one: (*self._others_owe(one[0], station), other_s(one[0], station.name)),
+            key=lambda one: (*self._still_owed(one[0], station), other_s(one[0], station.name)),
         )
         only = self.has_shown and self._duplicates.answers_late
         return JobStep(StepKind.READ, code, form=form, only=only, apart=True)
@@ -202,8 +203,13 @@ class ReadBackProof:
 
     @property
     def is_begun(self) -> bool:
-        """Whether the drive acknowledged the stop and showed it, so that only more is wanted."""
-        return self.acknowledged and bool(self._seen)
+        """Whether the drive showed the stop, so that only more readings are wanted.
+
+        A drive that was told by a multicast acknowledges nothing. If it has answered always, and
+        no second answers come, it is not told by itself only to outnumber late answers.
+        """
+        wants_ack = self.silent or self._is_refused or self._duplicates.is_doubtful
+        return bool(self._seen) and (self.acknowledged or not (self._shown or wants_ack))
 
     def begin(self) -> None:
         """Start again, with another stop."""
@@ -307,12 +313,18 @@ class ReadBackProof:
         self, station: Station, what: StopAction | WrittenValue
     ) -> list[tuple[bytes, Code, AddressForm]]:
         """Name the answers that have not shown it yet; of other codes where late ones may come."""
-        for all_codes in (False, True):
-            fields = [one for one in self._fields(station, what, all_codes=all_codes)
-                      if one[0] not in self._shown]  # fmt: skip
-            if not fields or not all(any(self._others_owe(one[0], station)) for one in fields):
-                break
-        return fields
+        first = list(self._fields(station, what))
+        missing = [one for one in first if one[0] not in self._shown]
+        owed = [self._others_owe(one[0], station) for one in missing]
+        if not missing or not all(any(one) for one in owed):
+            return missing
+        if not all(late_s for late_s, _ in owed):  # they are outnumbered, not waited for
+            is_conclusive = any(field in self._shown for field, _, _ in first)
+            wants_two = self.silent or self._duplicates.is_doubtful
+            if not wants_two or (self._shown and not is_conclusive):
+                return missing
+        every = self._fields(station, what, all_codes=True)
+        return [one for one in every if one[0] not in self._shown]
 
     def _others_owe(self, field: bytes, station: Station) -> tuple[float, int]:
         """Return until when it waits for late answers of other drives, and how many it outnumbers.
@@ -321,6 +333,12 @@ class ReadBackProof:
         """
         late_s = max(self._duplicates.late_until_s(field, station.name), 0.0)
         return late_s, self._duplicates.left_out(field, station.name)
+
+    def _still_owed(self, field: bytes, station: Station) -> tuple[float, int]:
+        """As `_others_owe`, less the readings that were taken."""
+        late_s, owed = self._others_owe(field, station)
+        seen, _ = self._seen.get(field, (0, 0))
+        return late_s, max(owed - seen, 0)
 
     def _fields(
         self, station: Station, what: StopAction | WrittenValue, *, all_codes: bool = False

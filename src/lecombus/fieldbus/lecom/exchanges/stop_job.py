@@ -457,7 +457,8 @@ class StopJob(StopWork):
                 return (Outcome.UNKNOWN, f"{text}, but {two}") if two else (Outcome.VERIFIED, text)
             assert self._since_s is not None
             if result.ended_s - self._since_s < self.patience_s + PROVING_S:
-                self._checking = proving.acknowledged and not proving.wants_own_ack(
+                goes_on = proving.acknowledged or proving.is_begun
+                self._checking = goes_on and not proving.wants_own_ack(
                     self.station, self.action, result.ended_s
                 )
                 return None
