@@ -164,9 +164,12 @@ class ReadBackProof:
             self._forget()
             return False
         seen, most = self._seen.get(answer.field, (0, 0))
-        others = self._duplicates.left_out(answer.field, station.name)
-        self._seen[answer.field] = (seen + 1, max(most, others))
-        if not others or seen >= max(most, others):
+        others = 0
+        if code != address_code(station.family):  # another drive's is another value
+            others = self._duplicates.left_out(answer.field, station.name)
+        most = max(most, others)
+        self._seen[answer.field] = (seen + 1, most)
+        if not others or seen >= most:
             self._shown.add(answer.field)
         return True
 
@@ -232,7 +235,7 @@ class ReadBackProof:
         if not self.acknowledged or not self._has_enough(station, what):
             return False
         return self._knows_it and not (
-            self.has_no_address and any(self._is_old(one, station, now_s) for one in self._shown)
+            self.has_no_address and any(self._is_old(one, station, now_s) for one in self._seen)
         )
 
     def wants_own_ack(
@@ -247,7 +250,7 @@ class ReadBackProof:
             return False
         if not self._is_shown_by_itself(station, what, now_s):
             return False
-        return all(self._is_old(one, station, now_s) for one in self._shown)
+        return all(self._is_old(one, station, now_s) for one in self._seen)
 
     def is_written(self, station: Station, what: WrittenValue, now_s: float) -> bool:
         """Whether a write is shown, acknowledged or not."""
@@ -303,7 +306,7 @@ class ReadBackProof:
 
     def _has_enough(self, station: Station, what: StopAction | WrittenValue) -> bool:
         fields = [field for field, _, _ in self._fields(station, what)]
-        enough = len(self._shown) >= min(WANTED, len(fields))
+        enough = len(self._seen) >= min(WANTED, len(fields))
         return enough and not self._shown.isdisjoint(fields)  # one of the most conclusive code
 
     def _is_old(self, field: bytes, station: Station, now_s: float) -> bool:
@@ -314,17 +317,18 @@ class ReadBackProof:
     ) -> list[tuple[bytes, Code, AddressForm]]:
         """Name the answers that have not shown it yet; of other codes where late ones may come."""
         first = list(self._fields(station, what))
-        missing = [one for one in first if one[0] not in self._shown]
+        is_conclusive = any(field in self._shown for field, _, _ in first)
+        taken = self._seen if is_conclusive else self._shown  # the second one may be another's
+        missing = [one for one in first if one[0] not in taken]
         owed = [self._others_owe(one[0], station) for one in missing]
         if not missing or not all(any(one) for one in owed):
             return missing
         if not all(late_s for late_s, _ in owed):  # they are outnumbered, not waited for
-            is_conclusive = any(field in self._shown for field, _, _ in first)
             wants_two = self.silent or self._duplicates.is_doubtful
             if not wants_two or (self._shown and not is_conclusive):
                 return missing
         every = self._fields(station, what, all_codes=True)
-        return [one for one in every if one[0] not in self._shown]
+        return [one for one in every if one[0] not in taken]
 
     def _others_owe(self, field: bytes, station: Station) -> tuple[float, int]:
         """Return until when it waits for late answers of other drives, and how many it outnumbers.
