@@ -237,6 +237,37 @@ def test_a_drive_made_late_by_a_stop_is_fed_before_one_that_has_its_last_tenth_y
     assert sum(feed.lapses for feed in stats) == 0
 
 
+def test_a_drive_made_late_by_a_stop_is_fed_before_the_own_feed_of_a_longer_exchange() -> None:
+    """Seed 330723 of the proof: a setpoint to another drive had that one's feed go first."""
+    world = World().drives("a", "b", "c")
+    world.feed("a", 1.0, cost_s=0.04)
+    world.now_s = 0.08
+    world.feed("b", 1.0, cost_s=0.04)
+    world.now_s = 0.69
+    world.submit("c", P.STOP, cost_s=0.24, worst_s=0.24)
+    world.submit("b", P.CONTROL, cost_s=0.04, worst_s=0.11)
+    world.run(1.3)
+    stats = world.schedule.stats(world.now_s).feeds.values()
+    assert [sent.request.drive for sent in world.sent[:4]] == ["c", "a", "b", "b"]
+    assert sum(feed.lapses for feed in stats) == 0
+
+
+def test_a_slot_is_not_run_early_before_a_drive_that_a_stop_made_late() -> None:
+    world = World().drives("a", "b", "c", "d")
+    world.feed("a", 1.0, cost_s=0.04)
+    world.feed("b", 0.9, cost_s=0.04)
+    world.cyclic("c", 0.4, cost_s=0.04)
+    world.cyclic("d", 0.5, cost_s=0.06)
+    world.now_s = 0.4
+    world.feed("d", 0.9, cost_s=0.06)
+    world.run(0.51)
+    for takes_s in (0.24, 0.17):  # b was fed last: then it is the turn of the slots
+        world.submit("c", P.STOP, cost_s=takes_s, worst_s=takes_s)
+    world.run(1.3)
+    stats = world.schedule.stats(world.now_s).feeds.values()
+    assert sum(feed.lapses for feed in stats) == 0
+
+
 @pytest.mark.parametrize("lost", [2, 3])
 @pytest.mark.parametrize("fed_s", [0.06, 0.3])
 def test_a_drive_that_no_longer_answers_goes_behind_those_that_are_late(

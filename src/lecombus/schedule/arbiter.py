@@ -73,11 +73,16 @@ class WatchdogArbiter:
         return watchdogs.fits(now_s, TURNS_PART * watchdogs.spare_s(), "")
 
     def early_slot(self, slot: Request, now_s: float) -> Request | None:
-        """Find a cyclic slot, to be run in place of another, of a drive to be fed soon."""
+        """Find a cyclic slot, to be run in place of another, of a drive to be fed soon.
+
+        There is none while a drive that is late can still be fed: that one goes before any slot.
+        """
         polling, entry = self._polling, slot.source
         if type(entry) is not PollingEntry or not polling.may_wait(entry, now_s):
             return None
         feed = self._watchdogs.pressing(now_s, self._watchdogs.soon_s())
+        if self._watchdogs.late(now_s) is not None:
+            return None
         early = polling.early(feed.drive, now_s) if feed and feed.drive != slot.drive else None
         fits = early is not None and feed and self._serves(early.made(), feed, now_s)
         return early.made() if early is not None and fits else None

@@ -185,7 +185,8 @@ class Request:
     attempts: int = field(default=0, init=False, repr=False)  # exchanges made for it
     rooms: int = field(default=0, init=False, repr=False)  # feeds run first so that it fits
     eased: int = field(default=0, init=False, repr=False)  # times its room was made in vain
-    fed_first: int = field(default=0, init=False, repr=False)  # feeds run first, though it fits
+    fed_first: int = field(default=0, init=False, repr=False)  # feeds of its drive run first
+    late_first: int = field(default=0, init=False, repr=False)  # late feeds run first
     latest_s: float | None = field(default=None, init=False, repr=False)  # no feed before it then
     cut_by_s: float = field(default=0.0, init=False, repr=False)  # taken off its time-outs
     turn: DispatchReason = field(

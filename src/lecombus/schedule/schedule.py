@@ -280,18 +280,18 @@ class Schedule(DriveTable):
     def _admit(self, request: Request, now_s: float) -> Request | None:
         """Let a request go if no watchdog can suffer; else run what must go first, or end it."""
         feeds = self._watchdogs
+        fits = feeds.fits(now_s, feeds.need_s(request), request.drive)
+        late = feeds.late(now_s)
+        count = 1 if late is not None and late.drive == request.drive else len(feeds.by_drive)
+        if late is not None and request.late_first < FEEDS_FIRST * count:
+            request.late_first += 1
+            return to_feed(self._watchdog_arbiter.telegram(late, now_s))
         own = feeds.own_first(now_s, request.unfed_s, request.drive)
         holds = own is None or feeds.fits(now_s, own.cost_s, request.drive)
         if own is not None and holds and request.fed_first < FEEDS_FIRST:
             request.fed_first += 1
             return to_feed(self._watchdog_arbiter.plain(own))
-        need_s = feeds.need_s(request)
-        fits = feeds.fits(now_s, need_s, request.drive) and feeds.own_holds(request, now_s)
-        late = feeds.late(now_s)
-        count = 1 if late is not None and late.drive == request.drive else len(feeds.by_drive)
-        if late is not None and request.fed_first < FEEDS_FIRST * count:
-            request.fed_first += 1
-            return to_feed(self._watchdog_arbiter.telegram(late, now_s))
+        fits = fits and feeds.own_holds(request, now_s)
         if fits:
             return request
         return self._make_room(request, now_s)
