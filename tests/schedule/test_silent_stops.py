@@ -453,3 +453,33 @@ def test_a_stop_that_was_lost_does_not_go_again_before_a_late_drive_whose_watchd
     world.step()
     lose(world, lost, world.now_s + 1.5)
     assert fired(world) == []
+
+
+def test_the_own_feed_in_place_of_a_stop_goes_behind_a_late_drive_that_would_not_outlast_it() -> (
+    None
+):
+    world = World().drives("a", "b", "c")
+    world.schedule.expect(FaultHypothesis(1, stop_s=0.24, stop_failed_s=0.53))
+    world.feed("a", 1.4, cost_s=0.04)
+    world.now_s = 0.1
+    world.feed("b", 1.4, cost_s=0.07)
+    world.now_s = 0.84
+    for _ in range(2):
+        world.submit("c", P.STOP, cost_s=0.255, worst_s=0.53)
+    world.submit("b", P.STOP, cost_s=0.04, yields=True)
+    world.run(1.9)
+    assert sum(feed.lapses for feed in world.schedule.stats(world.now_s).feeds.values()) == 0
+
+
+def test_a_drive_whose_watchdog_can_be_kept_goes_before_one_whose_watchdog_has_acted() -> None:
+    world = World().drives("lapsed", "kept", "s", "c")
+    world.feed("lapsed", 1.0, cost_s=0.06)
+    world.now_s = 0.2
+    world.feed("kept", 1.0, cost_s=0.04)
+    world.now_s = 0.6
+    for _ in range(2):
+        world.submit("c", P.STOP, cost_s=0.2775, worst_s=0.2775)
+    world.submit("s", P.STOP, cost_s=0.04, yields=True)
+    world.run(1.6)
+    feeds = world.schedule.stats(world.now_s).feeds
+    assert (feeds["lapsed"].lapses, feeds["kept"].lapses) == (1, 0)

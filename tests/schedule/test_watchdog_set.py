@@ -268,6 +268,65 @@ def test_a_slot_is_not_run_early_before_a_drive_that_a_stop_made_late() -> None:
     assert sum(feed.lapses for feed in stats) == 0
 
 
+def test_each_step_of_a_request_lets_drives_that_are_late_go_first() -> None:
+    world = World().drives("a", "c", "d")
+    world.feed("a", 1.0, cost_s=0.04)
+    request = world.request("d", P.CONTROL, cost_s=0.08)
+    fed, steps = world.schedule.watchdogs.by_drive["a"], 0
+
+    def after(done: Request, _reached: bool) -> bool:
+        nonlocal steps
+        if done is not request or (steps := steps + 1) == 10:
+            return False
+        world.schedule.again(done, world.now_s, fed.fed_at_s + 0.75)
+        world.at(fed.fed_at_s + 0.2, lambda: world.submit("c", cost_s=0.02))
+        world.at(fed.fed_at_s + 0.5, lambda: _stop_until(world, "c", fed.fed_at_s + 0.94))
+        return True
+
+    world.after = after
+    world.now_s = 0.7
+    _stop_until(world, "c", 0.94)
+    world.schedule.submit(request, world.now_s)
+    world.run(15.0)
+    feed = world.schedule.stats(world.now_s).feeds["a"]
+    assert (steps, feed.misses, feed.lapses) == (10, 10, 0), "late each time, and in time"
+
+
+def test_a_late_drive_that_may_be_gone_goes_behind_the_own_feed_of_an_exchange() -> None:
+    world = World().drives("gone", "b")
+    world.feed("gone", 1.0, cost_s=0.04, worst_s=0.16)
+    world.now_s = 0.05
+    world.feed("b", 1.0, cost_s=0.04, worst_s=0.16)
+    world.silent.add("gone")
+    world.now_s = 0.9
+    world.schedule.watchdogs.by_drive["gone"].failed(world.now_s)
+    world.submit("b", P.CONTROL, cost_s=0.04, worst_s=0.17)
+    world.run(1.6)
+    assert [sent.request.drive for sent in world.sent[:2]] == ["b", "gone"]
+    assert world.schedule.stats(world.now_s).feeds["b"].lapses == 0
+
+
+def test_a_drive_that_is_late_is_asked_again_without_a_pause_after_its_first_lost_answer() -> None:
+    """Else an exchange begins before the pause ends, and lasts until the watchdog has acted."""
+    feed = WatchdogDeadline("a", WatchdogFeeding(3.0, World().request), 0.0)
+    feed.failed(2.73)
+    assert feed.free_s() <= 2.73
+    feed.failed(2.83)
+    assert 2.83 < feed.free_s() < feed.acts_s
+
+
+def test_of_two_late_drives_the_one_whose_watchdog_acts_first_is_fed_first() -> None:
+    world = World().drives("long", "short", "c")
+    world.feed("long", 3.0, cost_s=0.07)  # nine tenths of it end at 2.7 s, and it acts at 3 s
+    world.now_s = 1.81
+    world.feed("short", 1.0, cost_s=0.05)  # at 2.71 s, and 2.81 s
+    world.now_s = 2.25
+    _stop_until(world, "c", 2.75)
+    world.submit("c", P.CONTROL)
+    world.run(3.5)
+    assert sum(feed.lapses for feed in world.schedule.stats(world.now_s).feeds.values()) == 0
+
+
 @pytest.mark.parametrize("lost", [2, 3])
 @pytest.mark.parametrize("fed_s", [0.06, 0.3])
 def test_a_drive_that_no_longer_answers_goes_behind_those_that_are_late(
@@ -937,3 +996,8 @@ def test_room_is_kept_behind_an_exchange_for_the_answers_that_may_yet_be_lost(
     feeds = roster_of(FaultHypothesis(tolerate, stop_s=0.2, stop_failed_s=0.6), a=1.0, b=2.0)
     feeds.changed()
     assert feeds.behind_s() == pytest.approx((answered_s, failed_s))
+
+
+def _stop_until(world: World, drive: str, until_s: float) -> None:
+    takes_s = until_s - world.now_s
+    world.submit(drive, P.STOP, cost_s=takes_s, worst_s=takes_s)

@@ -98,7 +98,7 @@ class WatchdogArbiter:
         feeds = self._watchdogs
         for feed in feeds.due(now_s):
             fits = feeds.fits(now_s, feed.worst_s, feed.drive)
-            behind = feed.failures > feeds.faults.tolerate
+            behind = feeds.lost_too_many(feed)
             late = feeds.late(now_s, but=(feed.drive,)) if behind else None
             if late is not None:
                 return self.telegram(late, now_s)

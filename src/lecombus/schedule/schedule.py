@@ -283,12 +283,14 @@ class Schedule(DriveTable):
         fits = feeds.fits(now_s, feeds.need_s(request), request.drive)
         late = feeds.late(now_s)
         count = 1 if late is not None and late.drive == request.drive else len(feeds.by_drive)
-        if late is not None and request.late_first < FEEDS_FIRST * count:
+        late = late if request.late_first < FEEDS_FIRST * count else None
+        own = feeds.own_first(now_s, request.unfed_s, request.drive)
+        holds = own is not None and feeds.fits(now_s, own.cost_s, request.drive)
+        own = own if holds and request.fed_first < FEEDS_FIRST else None
+        if late is not None and (own is None or not feeds.lost_too_many(late)):
             request.late_first += 1
             return to_feed(self._watchdog_arbiter.telegram(late, now_s))
-        own = feeds.own_first(now_s, request.unfed_s, request.drive)
-        holds = own is None or feeds.fits(now_s, own.cost_s, request.drive)
-        if own is not None and holds and request.fed_first < FEEDS_FIRST:
+        if own is not None:
             request.fed_first += 1
             return to_feed(self._watchdog_arbiter.plain(own))
         fits = fits and feeds.own_holds(request, now_s)
@@ -381,7 +383,7 @@ class Schedule(DriveTable):
             elif type(source) is Probe:
                 self._probes.take(source, now_s)
         request.state = UNDER_WAY
-        request.fed_first = 0
+        request.fed_first = request.late_first = 0
         self._speaking_to, self._reaching = request.drive, request.members
         drive = self._drives.get(request.drive)
         if drive is not None and drive.kept:

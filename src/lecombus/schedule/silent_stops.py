@@ -92,7 +92,7 @@ class SilentStops:
         feed = self._late(now_s) or feeds.room(now_s, self._needed_s(stop), stop.drive)
         if feed is not None:
             own = feeds.own_before(now_s, feed, stop.drive)
-            if own is not None:
+            if own is not None and feed.outlasts_late(now_s, own.cost_s):
                 return self._in_place(own)
             own = feeds.own_late(now_s + feed.cost_s, stop.drive)
             if own is None or feed.hard_s < own.hard_s:

@@ -218,6 +218,11 @@ class WatchdogDeadline:
         self.failures = 0
         self.missed = self.lapsed = False
 
+    @property
+    def acts_s(self) -> float:
+        """When the drive's watchdog acts if it is fed no more."""
+        return self.fed_at_s + self.time_s
+
     def follow(self, old: WatchdogDeadline) -> None:
         """Take the place of the drive's feed so far: its count and the moment it was last fed.
 
@@ -253,7 +258,7 @@ class WatchdogDeadline:
     def reached(self, started_s: float) -> None:
         """Note that the drive answered an exchange begun at that time."""
         self.heard = True
-        margin_s = self.fed_at_s + self.time_s - started_s
+        margin_s = self.acts_s - started_s
         self.margin_last_s = margin_s
         if margin_s < self.margin_least_s:
             self.margin_least_s = margin_s
@@ -274,7 +279,7 @@ class WatchdogDeadline:
         if self.active and now_s > self.hard_s and not self.missed:
             self.missed = True
             self.misses += 1
-        if self.active and now_s > self.fed_at_s + self.time_s:
+        if self.active and now_s > self.acts_s:
             self.lapsed = True
         if self.heard and not self.counted and now_s > self.runs_from_s + self.time_s:
             self.counted = True
@@ -288,16 +293,16 @@ class WatchdogDeadline:
             tolerate: So many answers may be lost without its watchdog acting.
         """
         self.failures += 1
-        left_s = self.hard_s - now_s
+        left_s, few = self.hard_s - now_s, self.failures <= max(1, tolerate)
         if left_s <= RETRY_LEAST_S:  # late, but the watchdog may not have fired yet
-            left_s = self.fed_at_s + self.time_s - now_s
+            left_s = 0.0 if few else self.acts_s - now_s
         if left_s <= RETRY_LEAST_S and self.failures >= max(SPARE_ATTEMPTS, tolerate + 1):
             self.retry_at_s = now_s + self.time_s * SOFT_PART
             return
         spare = max(SPARE_ATTEMPTS - self.failures, 1)
         pause_s = min(left_s / 2, left_s - spare * self.worst_s)
         # A lost answer or two are no reason to be late: if need be it is asked again immediately.
-        least_s = 0.0 if self.failures <= max(1, tolerate) else RETRY_LEAST_S
+        least_s = 0.0 if few else RETRY_LEAST_S
         pause_s = max(pause_s, least_s)
         self.retry_at_s = now_s + pause_s if pause_s > 0.0 else -math.inf
 
@@ -318,8 +323,8 @@ class WatchdogDeadline:
 
         The slack check leaves out a feed that is too late for its hard deadline.
         """
-        acts_s = self.fed_at_s + self.time_s - self.cost_s
-        return now_s > acts_s or now_s + takes_s <= acts_s
+        begin_by_s = self.acts_s - self.cost_s
+        return now_s > begin_by_s or now_s + takes_s <= begin_by_s
 
     def made(self) -> Request:
         """Build the feeding request, with time-outs no longer than is counted with."""

@@ -287,13 +287,17 @@ class WatchdogSet:
             by_s = now_s + self.slack_s(now_s) - self.faults.left_s(left, *self._losses())
             feed.pause_until(by_s, now_s)
 
+    def lost_too_many(self, feed: WatchdogDeadline) -> bool:
+        """Return whether a drive lost more answers in a row than are tolerated: it may be gone."""
+        return feed.failures > self.faults.tolerate
+
     def own_late(self, from_s: float, drive: str) -> WatchdogDeadline | None:
         """Find the feed of a drive if it would be late, were it spoken to only from a time on.
 
         One that has lost more answers than are tolerated is not counted: it may be gone.
         """
         own = self.by_drive.get(drive)
-        if own is None or not own.active or own.lapsed or own.failures > self.faults.tolerate:
+        if own is None or not own.active or own.lapsed or self.lost_too_many(own):
             return None
         return own if from_s + own.cost_s > own.hard_s else None
 
@@ -325,7 +329,7 @@ class WatchdogSet:
         One whose time has run out has acted, or the drive is not there.
         """
         own = self._own_beside(request)
-        if own is None or now_s > own.fed_at_s + own.time_s:
+        if own is None or now_s > own.acts_s:
             return True
         return now_s + self.own_need_s(request, own) + own.cost_s <= own.hard_s + ROUNDING_S
 
@@ -465,7 +469,7 @@ class WatchdogSet:
             if feed.active
             and feed.failures < self.faults.gone_from
             and feed.free_s() <= now_s
-            and now_s + feed.cost_s <= feed.fed_at_s + feed.time_s
+            and now_s + feed.cost_s <= feed.acts_s
         ]
         return min(found, key=_hard, default=None)
 
@@ -475,7 +479,9 @@ class WatchdogSet:
         """Find a feed that is too late to be in time, though not for its watchdog, and may run.
 
         It is left out of the slack check, so that nothing else would bring it forward. While its
-        watchdog can be kept, those that are in time may use the last tenth of theirs for it.
+        watchdog can be kept, those that are in time may use the last tenth of theirs for it. The
+        watchdog that acts first goes first; behind these go those that can no longer be kept, and
+        drives that lost too many answers.
 
         Args:
             now_s: Monotonic seconds.
@@ -487,9 +493,13 @@ class WatchdogSet:
         tenth_s = self.tenth_s()
 
         def may_go(feed: WatchdogDeadline) -> bool:
-            if now_s + feed.cost_s <= feed.fed_at_s + feed.time_s:
+            if now_s + feed.cost_s <= feed.acts_s:
                 return self.fits(now_s, feed.cost_s - tenth_s, feed.drive)
             return lapsed and self.fits(now_s, feed.cost_s, feed.drive)
+
+        def place(feed: WatchdogDeadline) -> tuple[bool, bool, float]:
+            acts_s = feed.acts_s
+            return self.lost_too_many(feed), now_s + feed.cost_s > acts_s, acts_s
 
         found = [
             feed
@@ -501,7 +511,7 @@ class WatchdogSet:
             and feed.free_s() <= now_s
             and may_go(feed)
         ]
-        return min(found, key=_hard, default=None)
+        return min(found, key=place, default=None)
 
     def next_s(self, now_s: float) -> float | None:
         """Return when a feed may be due or pressing, after there was none just now."""
