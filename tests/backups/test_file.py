@@ -132,6 +132,14 @@ GOOD = write_backup(backup_of("8200vector", {"C0001": "3", "C0011": "50"}))
 
 
 @pytest.mark.parametrize(
+    ("written", "word"), [("0x0208", "H0208"), ("0x8", "H08"), ('"0X00d0"', "H00d0")]
+)
+def test_a_word_may_be_written_as_on_the_command_line(written: str, word: str) -> None:
+    text = GOOD.replace("C0011: 50", f"C0011: {written}")
+    assert read_backup(text, "b.yaml").entries[Code(11)].value == Value.parse(word)
+
+
+@pytest.mark.parametrize(
     ("right", "wrong", "line"),
     [
         ("lecombus-backup: 1", "lecombus-backup: 2", 3),

@@ -589,6 +589,7 @@ def test_what_was_stopped_since_is_not_enabled_by_going_on(
     words = ("restore", str(path), "feeder", "--yes", "--enable")
     ran = run(*words)  # it stays enabled, whatever is said
     assert (ran.status, "its inhibit was lifted from elsewhere" in ran.err) == (1, True)
+    assert "is not inhibited any more" not in ran.out, "no enable was sent"
     drive.code("C0150", "H0080")
     if stopped:
         drive.rights(stops="r-feeder-2")

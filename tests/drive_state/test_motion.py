@@ -287,3 +287,14 @@ def test_only_the_setpoint_that_the_drive_obeys_is_shown(
     assert setpoint is not None
     told = setpoint.as_json()
     assert (str(told["value"]), told["unit"]) == shown
+
+
+@pytest.mark.parametrize("name", ["820x", "821x"])
+def test_a_read_of_another_setpoint_does_not_hide_the_one_that_was_written_last(name: str) -> None:
+    """An 820X has no setting that decides between its two; of an 821X it may not be known."""
+    known = {Code(141): read("C0141", "0", age_s=1.0)}
+    written = [read("C0141", "50", age_s=60.0), read("C0046", "20", age_s=30.0)]
+    setpoint = motion_of(family(name), None, known.get, written).setpoint
+    assert setpoint is not None
+    told = setpoint.as_json()
+    assert (str(told["value"]), told["unit"]) == ("20", "Hz")

@@ -96,6 +96,7 @@ def test_a_quick_stop_that_is_refused_or_ignored_becomes_no_inhibit(way: str, se
             ignored = name == "lift" and second == "93xx"
             assert told[name].outcome is (Outcome.UNKNOWN if ignored else Outcome.REFUSED), name
             assert "stop_fallback: none" in told[name].reason
+            assert ("refused by the drive (NAK)" in told[name].reason) is not ignored
             assert "emergency stop" in told[name].remedy
         if "belt" in reached:
             assert told["belt"].outcome is Outcome.VERIFIED, "its quick stop became an inhibit"

@@ -32,7 +32,7 @@ from lecombus.drives.field_types import Words, read_words, whole
 from lecombus.drives.yaml_models import FILE_TABLE, KEY, ReadBy, YamlFile, mistake
 from lecombus.errors import CodeValueError
 from lecombus.fieldbus.protocols import family_names, protocol_of
-from lecombus.parameters import Code, Format, Value
+from lecombus.parameters import HEX_DIGITS, Code, Format, Value
 
 __all__ = [
     "Backup",
@@ -195,6 +195,7 @@ _PLAIN: Final = re.compile(r"-?(0|[1-9][0-9]*)(\.[0-9]+)?|H[0-9A-F]+", re.ASCII)
 such as OFF are none of it."""
 
 _WORD: Final = re.compile(r"[A-Za-z0-9-]+", re.ASCII)
+_HEXADECIMAL: Final = re.compile(r"0[xX]([0-9A-Fa-f]+)", re.ASCII)
 
 
 def write_backup(backup: Backup) -> str:
@@ -280,9 +281,14 @@ def _read_family(given: object) -> str:
 
 
 def _read_value(given: object) -> Value:
-    """Read a value as it stands on the wire."""
+    """Read a value as it stands on the wire; a word may be written `0x0208`, too."""
+    text = read_words(given)
+    hexadecimal = _HEXADECIMAL.fullmatch(text)
+    if hexadecimal is not None:
+        digits = hexadecimal[1]
+        text = "H" + digits.zfill(next((n for n in HEX_DIGITS if n >= len(digits)), 0))
     try:
-        return Value.parse(read_words(given))
+        return Value.parse(text)
     except CodeValueError as exc:
         raise mistake(str(exc)) from exc
 

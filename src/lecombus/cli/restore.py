@@ -224,10 +224,9 @@ def carry_out(options: RestoreOptions, seen: Seen, notes: Notes) -> int:
         raise
     if result.complete:
         notes.finish()
-    enabling = ""
-    if options.enable and enabled and result.complete:
-        enabling = enable_again(options, stops)
-    enabled_again = enabled and options.enable and not enabling
+    enables = options.enable and enabled and result.complete
+    enabling = enable_again(options, stops) if enables else ""
+    enabled_again = enables and not enabling
     give_result(plan, result, options, partial(show_result, enabled=enabled_again))
     if enabling:
         raise CommandError(Exit.FAILED, f"{options.drive} stays inhibited: {enabling}")

@@ -392,11 +392,17 @@ def _doing(
 def _setpoint(
     family: Family, known: Callable[[Code], Reading | None], written: Iterable[Reading]
 ) -> Speed | None:
-    """Give the setpoint that was read or written last, of the codes that the drive obeys."""
+    """Give the setpoint that was read or written last, of the codes that the drive obeys.
+
+    A drive without a setting for that obeys the code that was written last (820X).
+    """
     unused = _unused_setpoints(family, known)
+    said = [Speed(one, written=True) for one in written if one.code not in unused]
     read = (_usable(known(code), stale=True) for code in setpoint_codes(family))
-    found = [Speed(one) for one in read if one is not None and one.code not in unused]
-    found += [Speed(one, written=True) for one in written if one.code not in unused]
+    found = said + [Speed(one) for one in read if one is not None and one.code not in unused]
+    if said:
+        last = min(said, key=lambda one: one.reading.age_s or 0.0)
+        found = [one for one in found if one.reading.code == last.reading.code]
     newest = min(found, key=lambda one: (one.reading.age_s or 0.0, one.written), default=None)
     if newest is None or newest.reading.unit:
         return newest

@@ -20,6 +20,7 @@ from typing import Annotated, Any, Final, TypeVar
 from pydantic import BeforeValidator, Discriminator, Tag, ValidationInfo, WrapValidator
 
 from lecombus.parameters import (
+    HEX_DIGITS,
     HIGHEST_DECIMAL,
     HIGHEST_SUBCODE,
     HIGHEST_VALUE_CHARS,
@@ -46,8 +47,6 @@ from .words import Bit, OperatingState, StateRule, WordField, WordFieldEntry, Wo
 from .yaml_models import FILE_TABLE, KEY, ReadAs, ReadBy, context_of, mistake, without_keys
 
 __all__ = ["ALL_CODES", "CONTROL_WORDS", "STATUS_WORDS"]
-
-HEX_DIGITS = (2, 4, 8)
 
 TYPICAL_CHARS = {Format.VD: 9, Format.VS: 16, Format.VO: HIGHEST_VALUE_CHARS}
 """Length of a value where the file does not say: 9 is what the manual's tables of telegram times

@@ -97,7 +97,7 @@ class Permissions:
                 check_allowed(station.family, code, wire)
         except CodeValueError as exc:
             raise OperationError(
-                f"{named} of {drive} cannot take {value!s}: {exc}",
+                f"{named} of {drive} cannot take {value!s}: {str(exc).removeprefix(f'{code}: ')}",
                 kind="bad-value",
                 drive=drive,
                 code=str(code),

@@ -15,6 +15,7 @@ from lecombus.parameters.codes import (
     rules_of,
 )
 from lecombus.parameters.values import (
+    HEX_DIGITS,
     HIGHEST_DECIMAL,
     HIGHEST_VALUE_CHARS,
     LOWEST_DECIMAL,
@@ -27,6 +28,7 @@ from lecombus.parameters.values import (
 )
 
 __all__ = [
+    "HEX_DIGITS",
     "HIGHEST_CODE",
     "HIGHEST_DECIMAL",
     "HIGHEST_SUBCODE",

@@ -32,6 +32,7 @@ from typing import Final
 from lecombus.errors import CodeValueError
 
 __all__ = [
+    "HEX_DIGITS",
     "HIGHEST_DECIMAL",
     "HIGHEST_VALUE_CHARS",
     "LOWEST_DECIMAL",
@@ -49,6 +50,8 @@ Json = None | bool | int | Decimal | str | list["Json"] | dict[str, "Json"]
 
 LOWEST_DECIMAL: Final = Decimal("-214748.3648")
 HIGHEST_DECIMAL: Final = Decimal("214748.3647")
+HEX_DIGITS: Final = (2, 4, 8)
+"""How many hexadecimal digits a word is sent with."""
 SENDABLE_STRING_CHARS: Final = 20
 """Longest string sent to a drive. Source: EDB2102EN 8.3.1 (it prints 12, 20 and 240)."""
 HIGHEST_VALUE_CHARS: Final = 241
@@ -190,7 +193,7 @@ class Value:
 
         Source: EDB2102EN 8.3.1 "ASCII hexadecimal format (VH)"; CMVLC401A 5.4.
         """
-        if digits not in (2, 4, 8):
+        if digits not in HEX_DIGITS:
             raise CodeValueError(
                 f"{digits} hexadecimal digits are not sent: 2, 4 or 8 are", value=digits
             )

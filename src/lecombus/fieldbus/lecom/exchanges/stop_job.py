@@ -470,7 +470,8 @@ class StopJob(StopWork):
         self.proof, self.proof_code = answer.value, step.code
         self._unshown += 1
         self._turn(refused=True)
-        reads = f"was sent, but {step.code} reads {self.proof.raw}"
+        came_to = "was refused by the drive (NAK), and" if self._naks else "was sent, but"
+        reads = f"{came_to} {step.code} reads {self.proof.raw}"
         if self._is_without_effect(result, over):
             self._inhibit(reads, result.ended_s)
             return None
