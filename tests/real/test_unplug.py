@@ -24,13 +24,13 @@ from support.real_parts import require
 from support.rosters import Wanted, roster_text
 from support.traffic import CUT, HANGING, Asked, Traffic, get, put
 
-pytestmark = [pytest.mark.real, pytest.mark.slow, pytest.mark.timeout(90)]
+pytestmark = [pytest.mark.real, pytest.mark.slow, pytest.mark.timeout(180)]
 
 DRIVES: tuple[Wanted, ...] = (("belt", 12, "smvector"), ("winder", 21, "93xx"))
 KEYS = "cyclic: [{code: C0150, every: 500ms}, {code: C0050, every: 1s}]"
 TIMES = 10
-BACK_WITHIN_S = 9.0
-"""Audits of two drives beside more requests than the line can carry; it takes some 4 to 6 s."""
+BACK_WITHIN_S = 15.0
+"""Audits of two drives beside more requests than the line can carry: 5 to 9 s on a quiet computer."""
 PER_S = 12.0
 
 
