@@ -30,7 +30,7 @@ DRIVES: tuple[Wanted, ...] = (("belt", 12, "smvector"), ("winder", 21, "93xx"))
 KEYS = "cyclic: [{code: C0150, every: 500ms}, {code: C0050, every: 1s}]"
 TIMES = 10
 BACK_WITHIN_S = 15.0
-"""Audits of two drives beside more requests than the line can carry: 5 to 9 s on a quiet computer."""
+"""Audits of two drives beside more requests than the line can carry: 5 to 9 s if it is quiet."""
 PER_S = 12.0
 
 

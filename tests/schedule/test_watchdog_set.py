@@ -315,6 +315,23 @@ def test_a_drive_that_is_late_is_asked_again_without_a_pause_after_its_first_los
     assert 2.83 < feed.free_s() < feed.acts_s
 
 
+@pytest.mark.parametrize("until_s", [0.93, 0.955, 0.985])
+def test_a_feed_that_begins_before_the_watchdog_acts_keeps_it(until_s: float) -> None:
+    """Also where less than a feed is left, and whether a setpoint waits or more proof of a stop."""
+    for yields in (True, False):
+        world = World().drives("a", "b", "c", "s")
+        world.feed("a", 1.0, cost_s=0.05)
+        world.now_s = 0.1
+        world.feed("b", 1.0, cost_s=0.05)
+        world.now_s = 0.7
+        _stop_until(world, "c", until_s)
+        world.submit("s", P.STOP if yields else P.CONTROL, cost_s=0.04, yields=yields)
+        world.run(1.5)
+        assert [sent.request.drive for sent in world.sent[1:3]] == ["a", "b"]
+        feeds = world.schedule.stats(world.now_s).feeds.values()
+        assert sum(feed.lapses for feed in feeds) == 0
+
+
 def test_of_two_late_drives_the_one_whose_watchdog_acts_first_is_fed_first() -> None:
     world = World().drives("long", "short", "c")
     world.feed("long", 3.0, cost_s=0.07)  # nine tenths of it end at 2.7 s, and it acts at 3 s

@@ -323,8 +323,7 @@ class WatchdogDeadline:
 
         The slack check leaves out a feed that is too late for its hard deadline.
         """
-        begin_by_s = self.acts_s - self.cost_s
-        return now_s > begin_by_s or now_s + takes_s <= begin_by_s
+        return now_s > self.acts_s or now_s + takes_s <= self.acts_s - self.cost_s
 
     def made(self) -> Request:
         """Build the feeding request, with time-outs no longer than is counted with."""

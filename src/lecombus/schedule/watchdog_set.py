@@ -469,7 +469,7 @@ class WatchdogSet:
             if feed.active
             and feed.failures < self.faults.gone_from
             and feed.free_s() <= now_s
-            and now_s + feed.cost_s <= feed.acts_s
+            and now_s <= feed.acts_s
         ]
         return min(found, key=_hard, default=None)
 
@@ -480,8 +480,8 @@ class WatchdogSet:
 
         It is left out of the slack check, so that nothing else would bring it forward. While its
         watchdog can be kept, those that are in time may use the last tenth of theirs for it. The
-        watchdog that acts first goes first; behind these go those that can no longer be kept, and
-        drives that lost too many answers.
+        watchdog that acts first goes first; behind these go those that have acted, and drives that
+        lost too many answers. A watchdog is kept by a feed that begins before it acts.
 
         Args:
             now_s: Monotonic seconds.
@@ -493,13 +493,12 @@ class WatchdogSet:
         tenth_s = self.tenth_s()
 
         def may_go(feed: WatchdogDeadline) -> bool:
-            if now_s + feed.cost_s <= feed.acts_s:
+            if now_s <= feed.acts_s:
                 return self.fits(now_s, feed.cost_s - tenth_s, feed.drive)
             return lapsed and self.fits(now_s, feed.cost_s, feed.drive)
 
         def place(feed: WatchdogDeadline) -> tuple[bool, bool, float]:
-            acts_s = feed.acts_s
-            return self.lost_too_many(feed), now_s + feed.cost_s > acts_s, acts_s
+            return self.lost_too_many(feed), now_s > feed.acts_s, feed.acts_s
 
         found = [
             feed
