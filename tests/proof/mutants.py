@@ -80,7 +80,7 @@ MUTANTS: dict[str, Mutant] = {
         "_fit",
         "return end_s <= others_s",
         "return True",
-        (50, 134),
+        (46, 90),
         quick=True,
     ),
     "an exchange that is begun is reckoned to take no time": Mutant(
