@@ -13,6 +13,7 @@ from lecombus.drive_state.readings import DriveState
 from lecombus.drives import FAMILY_NAMES, StopAction
 from lecombus.errors import NoReplyError, OperationError
 from lecombus.fieldbus.lecom.simulator.faults import Faults
+from lecombus.fieldbus.lecom.simulator.line import build
 from lecombus.fieldbus.requests import StepKind
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Outcome
@@ -29,7 +30,8 @@ from operations.groups import (
     WRITABLE,
     written,
 )
-from support.rosters import roster_text
+from support.drives import presets
+from support.rosters import make_roster, roster_text
 from support.site_host import Plant, until, with_plant
 
 
@@ -439,3 +441,35 @@ def test_the_proof_of_a_stop_waits_until_a_module_that_acknowledges_early_hears_
         assert plant.line["a"].model.stop_wanted()
 
     with_plant(test, roster_text([("a", 1, "820x")], drive="cyclic: []"))
+
+
+@pytest.mark.parametrize("action", [QUICK, INHIBIT])
+def test_a_stop_of_all_lets_no_watchdog_act_whoever_was_spoken_to_last(action: StopAction) -> None:
+    """The proofs of 31 drives take 1.3 s, and nothing else feeds them meanwhile."""
+    addresses = [one for one in range(1, 35) if one % 10]
+    roster = make_roster(
+        [(f"d{one}", one, "8200vector") for one in addresses], baud=19200,
+        watchdog="{time: 2s, action: inhibit, configure: true}",
+    )  # fmt: skip
+    drives = [(one.name, one.address, one.family) for one in roster.drives]
+    line = build(
+        drives, baud=19200, seed=3, spread=0.5,
+        overrides={one.name: presets(one) for one in roster.drives},
+    )  # fmt: skip
+
+    def acted() -> int:
+        return sum(drive.model.watchdog_fired for drive in line.drives)
+
+    async def test(plant: Plant) -> None:
+        await anyio.sleep(120.0)
+        assert all(plant.site.store.state(name) is DriveState.ONLINE for name, *_ in drives)
+        for _ in range(4):
+            for name, *_ in reversed(drives):  # those that were spoken to last are proven last
+                await plant.site.operations.read(name, Code(150))
+            before = acted()
+            report = await plant.site.operations.stop(action, "all")
+            assert (report.how, report.outcome) == ("multicast", Outcome.VERIFIED)
+            assert acted() == before
+            await anyio.sleep(31.0)
+
+    with_plant(test, roster, line=line, latency_s=0.012)

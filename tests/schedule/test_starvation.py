@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from itertools import pairwise
 from random import Random
 
 import pytest
@@ -90,6 +91,30 @@ def test_a_read_is_served_though_its_drive_is_left_alone_after_each_of_many_writ
     begun = [sent.at_s for sent in world.sent if sent.request is asked]
     assert begun, "it was never served"
     assert begun[0] - 5.0 < 4.5
+
+
+def test_slots_of_a_drive_that_is_written_to_all_the_time_are_run_on_a_full_line() -> None:
+    """Each write has it left alone, just when the cyclic class has its turn behind that write."""
+    names = [f"d{number}" for number in range(16)]
+    world = World().drives(*names)
+    for name in names:
+        world.feed(name, 2.0, cost_s=0.045)
+        for period_s in (1.0, 2.0, 10.0):
+            world.cyclic(name, period_s, cost_s=0.06)
+
+    def after(request: Request, _reached: bool) -> bool:
+        if request.priority is P.CONTROL:
+            world.schedule.hold("d0", world.now_s + 0.05, world.now_s)
+            world.at(world.now_s + 0.005, lambda: world.submit("d0", P.CONTROL, cost_s=0.05))
+        return False
+
+    world.after = after
+    world.submit("d0", P.CONTROL, cost_s=0.05)
+    world.run(120.0)
+    for entry, most_s in zip(world.schedule.polling.by_drive["d0"], (6.0, 8.0, 30.0), strict=True):
+        starts = [sent.at_s for sent in world.sent if sent.request.source is entry]
+        gaps = [later - sooner for sooner, later in pairwise([10.0, *starts, 120.0])]
+        assert max(gaps) < most_s, entry.cyclic.period_s
 
 
 def test_slots_run_early_to_feed_do_not_cost_cyclic_its_share() -> None:

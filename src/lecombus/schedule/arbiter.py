@@ -36,6 +36,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import Final
 
 from lecombus.schedule.polling import Polling, PollingEntry
@@ -244,9 +245,13 @@ class Arbiter:
         if top is None or not kept:
             return None
         names = top.members or (top.drive,)
-        kept = {one for one in kept if one in heads and heads[one].drive in names}
-        found = self._shares.least_recent(kept)
-        return None if found is None else heads[found]
+        found = {one: heads[one] for one in kept if one in heads and heads[one].drive in names}
+        if Priority.CYCLIC in kept and Priority.CYCLIC not in found:
+            slots = [slot for name in names if (slot := self._polling.early(name, now_s))]
+            if slots:  # slots of other drives may be due before it all the time
+                found[Priority.CYCLIC] = min(slots, key=attrgetter("due_v")).made()
+        first = self._shares.least_recent(found)
+        return None if first is None else found[first]
 
     def _feed(self, other: Request | None, now_s: float) -> tuple[Request, bool] | None:
         """Find the feed that goes now, if it is its turn.

@@ -113,6 +113,11 @@ class Schedule(DriveTable):
         """Return whether a drive is not used now, because of a write just now."""
         return self._drives[drive].held
 
+    def feed_by_s(self, drive: str) -> float:
+        """Return by when a drive's watchdog must be fed, monotonic seconds; infinite: never."""
+        feed = self._watchdogs.by_drive.get(drive)
+        return feed.hard_s if feed is not None and feed.active else math.inf
+
     def stops(self) -> list[Request]:
         """Return the stops that wait."""
         return self._waiting.queues[Priority.STOP].waiting()

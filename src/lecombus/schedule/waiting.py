@@ -48,7 +48,7 @@ DEFAULT_LIMITS: Final[Mapping[Priority, int]] = {
 KEPT_S: Final = 3.0
 """For so long after a hold, requests that waited for it go before those that would begin another,
 seconds .."""
-KEPT_AFTER_S: Final = 3.0
+KEPT_AFTER_S: Final = 1.0
 """.. if holds have kept it for so long: a client that reads and writes in turn is not a stream."""
 EXPIRE_BATCH: Final = 64  # expired requests ended per choice: about 0.1 ms
 _FIRST_AHEAD: Final = -(1 << 62)  # places of requests that go ahead of their class
@@ -448,7 +448,7 @@ class Waiting:
                 found.update(
                     one
                     for one, since_s in drive.kept.items()
-                    if one > request.priority and since_s + after_s <= now_s
+                    if one > request.priority and since_s + after_s <= drive.kept_until_s - KEPT_S
                 )
         return found
 
