@@ -37,7 +37,7 @@ DRIVES = [(f"d{n}", 11 + n, family) for n, family in enumerate(FAMILIES)]
 DEAD = ("d3", "d5")
 SOME = ("d0", "d1", "d2", "d3")
 
-TWINS = {"twins=13": ["d2"]}
+TWINS = {"twins=13": ["d2"], "twins=13+17": ["d2", "d6"]}
 """Faults by which two drives have one address, and whose stops cannot be verified."""
 
 DOUBLES = [
@@ -84,13 +84,18 @@ def test_a_dead_drive_is_never_said_to_be_stopped(
     assert len(unproven) <= ("drops" in faults), unproven  # a living one may stay unknown
 
 
+@pytest.mark.parametrize("faults", ["twins=13", "twins=13+17"])
 @pytest.mark.parametrize("action", StopAction)
-def test_of_two_drives_at_one_address_none_is_said_to_be_stopped(action: StopAction) -> None:
+def test_of_two_drives_at_one_address_none_is_said_to_be_stopped(
+    faults: str, action: StopAction
+) -> None:
     """The answer of one does not show that the other has stopped."""
-    report = stopped("twins=13", 0, action, 30.0)
-    (shared,) = [one for one in report.members if one.drive == "d2"]
-    assert shared.outcome is Outcome.UNKNOWN
-    assert "come after its own, as from two drives at address 13" in shared.reason
+    ended = {one.drive: one for one in stopped(faults, 0, action, 30.0).members}
+    for name, address in (("d2", 13), ("d6", 17)):
+        assert (ended[name].outcome is Outcome.UNKNOWN) is (str(address) in faults)
+        if str(address) in faults:
+            said = f"come after its own, as from two drives at address {address}"
+            assert said in ended[name].reason
 
 
 SLOW = roster_text(

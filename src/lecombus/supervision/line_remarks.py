@@ -108,7 +108,8 @@ def remark_second_answers(found: SecondAnswerCount, drives: LineDrives, store: S
     if found.is_remarkable and not suspected:
         text = (
             f"{found.total} answers came in the last minute that nobody asked for: two drives at "
-            "one address, an adapter or device server that delivers twice, or another master; "
-            "until they end a stop takes more readings to be shown"
+            "one address, an adapter or device server that delivers twice, answers later than "
+            "line.late_answer, or another master; until they end a stop takes more readings to be "
+            "shown"
         )
     store.note_line(SECOND_ANSWERS_REMARK, text)

@@ -202,6 +202,7 @@ class Duplicates:
         self._late_more = 0  # how many more came that may be late than second ones
         self._late_s = -math.inf  # when one came last that is later than `late_answer`
         self._second: deque[tuple[float, str | None]] = deque(maxlen=1000)
+        self._asked_s: dict[str, float] = {}  # by drive: when it was asked last for anything
 
     def asked(self, field: bytes, drive: str, at_s: float) -> None:
         """Note that a drive is asked for an answer that looks like this."""
@@ -211,6 +212,7 @@ class Duplicates:
             self._other[field] = last[1]
             self._other_ended[field] = self._ended.get(field, last[1])
         self._last[field] = (drive, at_s)
+        self._asked_s[drive] = at_s
         self._lately.append((at_s, field, drive))
         while self._lately[0][0] < at_s - self._lately_s:
             self._lately.popleft()
@@ -335,4 +337,5 @@ class Duplicates:
         for _, name in self._second:
             if name is not None:
                 alone[name] = alone.get(name, 0) + 1
-        return SecondAnswerCount(len(self._second), alone)
+        drives = sum(now_s - at_s < COUNTED_S for at_s in self._asked_s.values())
+        return SecondAnswerCount(len(self._second), alone, drives)
