@@ -332,7 +332,8 @@ def test_a_watchdog_whose_write_was_not_heard_is_set_behind_a_stop(stops: str) -
 
     async def not_heard(plant: Plant) -> None:
         """Let the next write of its action pass unheard."""
-        await until(lambda: any(map(plant.is_asking, action)), within_s=100.0)
+        # Before the drive has heard all of the telegram, which takes 5 ms.
+        await until(lambda: any(map(plant.is_asking, action)), within_s=100.0, look_s=0.001)
         plant.line.drive_faults[11] = Faults(unheard=1.0)
         said = len(plant.end.sent)
         await until(lambda: len(plant.end.sent) > said)

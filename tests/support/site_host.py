@@ -438,8 +438,10 @@ class Plant:
         )
 
 
-async def until(condition: Callable[[], bool], *, within_s: float = 60.0) -> None:
-    """Let virtual time pass until something is so."""
+async def until(
+    condition: Callable[[], bool], *, within_s: float = 60.0, look_s: float = 0.005
+) -> None:
+    """Let virtual time pass until something is so; `look_s`: how long between two looks."""
     with anyio.fail_after(within_s):
         while not condition():  # noqa: ASYNC110 - any condition of the site, without its help
-            await anyio.sleep(0.005)
+            await anyio.sleep(look_s)
