@@ -25,7 +25,8 @@ The reports are in words that fit any protocol.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Mapping
+from collections import Counter
+from collections.abc import Awaitable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum, StrEnum
 from typing import Final, NamedTuple, Protocol
@@ -189,27 +190,40 @@ class WorkerOptions:
     quarantine: bool = True
 
 
+MOST_PAIRS_PART: Final = 4
+"""One drive in so many may share its address with another."""
+
 LEAST_SECOND_ANSWERS: Final = 3
 """Fewer second answers than this within a minute mean nothing."""
 
 PART_OF_KNOWN: Final = 0.85
-PART_OF_ALL: Final = 1 / 3
-"""Where two drives have one address, so many of those whose drive is known, and of all, come after
-its answers. What only one drive is asked for is known to be its own also where all come twice."""
+PART_OF_ALL: Final = 2 / 3
+"""Where two drives have one address, so many of those whose drive is known come after its answers,
+and so many of all may have. What only one drive is asked for is known to be its own also where all
+come twice."""
 
 
 class SecondAnswerCount(NamedTuple):
     """Answers of the last minute that no question was open for.
 
     Args:
-        total: How many.
-        alone: Of those that can only belong to one drive, how many came after its answers.
+        whose: For each the drives after whose answers it may have come, which were asked shortly
+            before for an answer that looks the same.
         drives: How many drives were asked for anything in that time.
     """
 
-    total: int
-    alone: Mapping[str, int]
+    whose: Sequence[Collection[str]] = ()
     drives: int = 1
+
+    @property
+    def total(self) -> int:
+        """How many there were."""
+        return len(self.whose)
+
+    @property
+    def alone(self) -> Mapping[str, int]:
+        """Of those that can only belong to one drive, how many came after its answers."""
+        return Counter(name for names in self.whose if len(names) == 1 for name in names)
 
     @property
     def is_remarkable(self) -> bool:
@@ -219,13 +233,16 @@ class SecondAnswerCount(NamedTuple):
     def may_be_two(self, drive: str) -> bool:
         """Whether two drives may have this drive's address.
 
-        Nearly all came after its answers, or after those of a few drives, a quarter at most: an
-        adapter that delivers answers twice does it to all of them alike.
+        Nearly all came after its answers, or after those of a few drives of the line: an adapter
+        that delivers answers twice does it to all of them alike.
         """
-        most = sorted(self.alone.items(), key=lambda one: -one[1])[: max(self.drives // 4, 1)]
+        known = Counter(self.alone)
+        most = known.most_common(max(self.drives // MOST_PAIRS_PART, 1))
         few = {name: count for name, count in most if count >= LEAST_SECOND_ANSWERS}
-        known, of_few = sum(self.alone.values()), sum(few.values())
-        return drive in few and of_few >= max(PART_OF_KNOWN * known, PART_OF_ALL * self.total)
+        if drive not in few or sum(few.values()) < PART_OF_KNOWN * known.total():
+            return False
+        explained = sum(not few.keys().isdisjoint(names) for names in self.whose)
+        return explained >= PART_OF_ALL * self.total
 
 
 class LateWakes(Protocol):
@@ -293,4 +310,4 @@ class ExchangeLoop(Receiver, Protocol):
 
     def second_answers(self, now_s: float) -> SecondAnswerCount:
         """Count the answers of the last minute that came without a request."""
-        return SecondAnswerCount(0, {})
+        return SecondAnswerCount()

@@ -142,9 +142,9 @@ class DriveSupervisor:
     async def _audit(self, drive: Drive) -> None:
         """Audit one drive once.
 
-        First contact is made with all drives in parallel, and so is the rest where it is quick: what
-        is asked then goes in place of feeds. Where reading a module's own codes takes up to 500 ms
-        each, drives come online one by one.
+        First contact is made with all drives in parallel, and so is the rest where it is quick:
+        what is asked then goes in place of feeds. Where reading a module's own codes takes up to
+        500 ms each, drives come online one by one.
         """
         if drive.health.state is not DriveState.DEGRADED:
             drive.audit.anew = True  # it may be another device: look at everything again
@@ -177,8 +177,8 @@ class DriveSupervisor:
     async def _examine(self, drive: Drive, turn: AbstractAsyncContextManager[object]) -> None:
         """Find out what is at the other end and put its watchdog in order.
 
-        The rest in two turns: what a drive's watchdog does is looked at before any drive's is set, because
-        one that is off needs no feeding, and with less to feed setting them goes faster.
+        The rest in two turns: what a drive's watchdog does is looked at before any drive's is set,
+        because one that is off needs no feeding, and with less to feed setting them goes faster.
 
         Args:
             drive: The drive.

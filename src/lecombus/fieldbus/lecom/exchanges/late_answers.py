@@ -32,6 +32,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Final
 
@@ -201,7 +202,7 @@ class Duplicates:
         self._told_apart_from_s = -math.inf
         self._late_more = 0  # how many more came that may be late than second ones
         self._late_s = -math.inf  # when one came last that is later than `late_answer`
-        self._second: deque[tuple[float, str | None]] = deque(maxlen=1000)
+        self._second: deque[tuple[float, Collection[str]]] = deque(maxlen=1000)
         self._asked_s: dict[str, float] = {}  # by drive: when it was asked last for anything
 
     def asked(self, field: bytes, drive: str, at_s: float) -> None:
@@ -306,7 +307,7 @@ class Duplicates:
             self._late_more = 0
         if at_s >= self._told_apart_from_s:
             self._tell_apart(field, at_s)
-        self._second.append((at_s, whose.pop() if len(whose) == 1 else None))
+        self._second.append((at_s, whose))
 
     def _tell_apart(self, field: bytes, at_s: float) -> None:
         """Judge whether late answers come, or second ones: whichever are more."""
@@ -333,9 +334,5 @@ class Duplicates:
         """Count the second answers of the last minute."""
         while self._second and now_s - self._second[0][0] >= COUNTED_S:
             self._second.popleft()
-        alone: dict[str, int] = {}
-        for _, name in self._second:
-            if name is not None:
-                alone[name] = alone.get(name, 0) + 1
         drives = sum(now_s - at_s < COUNTED_S for at_s in self._asked_s.values())
-        return SecondAnswerCount(len(self._second), alone, drives)
+        return SecondAnswerCount([whose for _, whose in self._second], drives)
