@@ -190,17 +190,19 @@ class WorkerOptions:
     quarantine: bool = True
 
 
-MOST_PAIRS_PART: Final = 4
-"""One drive in so many may share its address with another."""
+DRIVES_PER_PAIR: Final = 5
+"""Of so many drives that answer one may share its address with another."""
+LEAST_OF_MOST: Final = 1 / 6
+"""A drive after whose answers fewer come than this part of the most has had strays."""
 
 LEAST_SECOND_ANSWERS: Final = 3
 """Fewer second answers than this within a minute mean nothing."""
 
 PART_OF_KNOWN: Final = 0.85
-PART_OF_ALL: Final = 2 / 3
+PART_OF_ALL: Final = 1 / 3
 """Where two drives have one address, so many of those whose drive is known come after its answers,
-and so many of all may have. What only one drive is asked for is known to be its own also where all
-come twice."""
+and so many of those may have that came after anyone's lately; and so many of all. What only one
+drive is asked for is known to be its own also where all come twice."""
 
 
 class SecondAnswerCount(NamedTuple):
@@ -209,7 +211,7 @@ class SecondAnswerCount(NamedTuple):
     Args:
         whose: For each the drives after whose answers it may have come, which were asked shortly
             before for an answer that looks the same.
-        drives: How many drives were asked for anything in that time.
+        drives: How many drives have answered anything in that time.
     """
 
     whose: Sequence[Collection[str]] = ()
@@ -237,12 +239,14 @@ class SecondAnswerCount(NamedTuple):
         that delivers answers twice does it to all of them alike.
         """
         known = Counter(self.alone)
-        most = known.most_common(max(self.drives // MOST_PAIRS_PART, 1))
-        few = {name: count for name, count in most if count >= LEAST_SECOND_ANSWERS}
+        most = known.most_common(max(self.drives // DRIVES_PER_PAIR, 1))
+        least = max(LEAST_SECOND_ANSWERS, LEAST_OF_MOST * most[0][1] if most else 0)
+        few = {name: count for name, count in most if count >= least}
         if drive not in few or sum(few.values()) < PART_OF_KNOWN * known.total():
             return False
         explained = sum(not few.keys().isdisjoint(names) for names in self.whose)
-        return explained >= PART_OF_ALL * self.total
+        lately = sum(map(bool, self.whose))
+        return explained >= max(PART_OF_KNOWN * lately, PART_OF_ALL * self.total)
 
 
 class LateWakes(Protocol):

@@ -5,8 +5,8 @@ may still receive), and it needs no permission. After a multicast stop every mem
 member that does not show the stop is stopped by a separate telegram. So is one that showed it
 before and was not stopped by the line: its reading would not show that it heard the multicast. A
 second stop of a drive that is asked for while the first waits shares the first one's telegram and
-outcome. Members that may run go first, in the order in which their watchdogs must be fed; telegrams
-to those that showed the stop before let feeds of other drives' watchdogs go ahead.
+outcome. Members that may run go first, behind a multicast in the order in which their watchdogs
+must be fed; telegrams to those that showed the stop before let feeds of other drives go ahead.
 """
 
 from __future__ import annotations
@@ -89,15 +89,17 @@ class Stops:
             if self._context.stands_otherwise(one, one.family.stops[action].code)
         }
         # Drives that may run, and of these those that answer: each attempt at a silent one waits
-        # for its time-out. Of the others first the one whose watchdog can wait least: nothing but
-        # stops feeds it meanwhile.
+        # for its time-out. Behind a multicast first the one whose watchdog can wait least: nothing
+        # but its proof feeds it meanwhile.
         feed_by_s = self._context.requests.worker.schedule.feed_by_s
         order = sorted(
             able,
             key=lambda one: (
-                one.name in otherwise, self._context.silence_of(one), feed_by_s(one.name)
+                one.name in otherwise,
+                self._context.silence_of(one),
+                0.0 if shared is None else feed_by_s(one.name),
             ),
-        )  # fmt: skip
+        )
         endings = {
             one.name: self._say_stop(
                 one,

@@ -36,7 +36,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from operator import attrgetter
 from typing import Final
 
 from lecombus.schedule.polling import Polling, PollingEntry
@@ -240,18 +239,25 @@ class Arbiter:
     def _kept(
         self, top: Request | None, heads: Mapping[Priority, Request], now_s: float
     ) -> Request | None:
-        """Find what waited while the drive of the first request was left alone for one like it."""
-        kept = self._waiting.kept_by(top, now_s) if top is not None else set()
-        if top is None or not kept:
+        """Find what waited while the drive of the first request was left alone for one like it.
+
+        Before one telegram to several drives it is one exchange, however many of them have kept
+        something.
+        """
+        if top is None or (top.members and top.kept_first):
             return None
-        names = top.members or (top.drive,)
-        found = {one: heads[one] for one in kept if one in heads and heads[one].drive in names}
+        kept = self._waiting.kept_by(top, now_s)
+        found = {one: heads[one] for one in kept if one in heads and heads[one].drive in kept[one]}
         if Priority.CYCLIC in kept and Priority.CYCLIC not in found:
-            slots = [slot for name in names if (slot := self._polling.early(name, now_s))]
-            if slots:  # slots of other drives may be due before it all the time
-                found[Priority.CYCLIC] = min(slots, key=attrgetter("due_v")).made()
+            name = kept[Priority.CYCLIC][0]
+            slot = self._polling.early(name, now_s) if self._polling.is_due(name, now_s) else None
+            if slot is not None:  # slots of other drives may be due before it all the time
+                found[Priority.CYCLIC] = slot.made()
         first = self._shares.least_recent(found)
-        return None if first is None else found[first]
+        if first is None:
+            return None
+        top.kept_first = True
+        return found[first]
 
     def _feed(self, other: Request | None, now_s: float) -> tuple[Request, bool] | None:
         """Find the feed that goes now, if it is its turn.

@@ -187,6 +187,7 @@ class Request:
     eased: int = field(default=0, init=False, repr=False)  # times its room was made in vain
     fed_first: int = field(default=0, init=False, repr=False)  # feeds of its drive run first
     late_first: int = field(default=0, init=False, repr=False)  # late feeds run first
+    kept_first: bool = field(default=False, init=False, repr=False)  # what a hold kept ran first
     latest_s: float | None = field(default=None, init=False, repr=False)  # no feed before it then
     cut_by_s: float = field(default=0.0, init=False, repr=False)  # taken off its time-outs
     turn: DispatchReason = field(

@@ -389,6 +389,7 @@ class Schedule(DriveTable):
                 self._probes.take(source, now_s)
         request.state = UNDER_WAY
         request.fed_first = request.late_first = 0
+        request.kept_first = False
         self._speaking_to, self._reaching = request.drive, request.members
         drive = self._drives.get(request.drive)
         if drive is not None and drive.kept:

@@ -440,16 +440,14 @@ class Waiting:
 
     def kept_by(
         self, request: Request, now_s: float, after_s: float = KEPT_AFTER_S
-    ) -> set[Priority]:
-        """Return what of lower classes holds of the drives of a request have kept for so long."""
-        found: set[Priority] = set()
+    ) -> dict[Priority, list[str]]:
+        """Return of which drives of a request holds have kept what of lower classes for so long."""
+        found: dict[Priority, list[str]] = {}
         for drive in self._reached(request):
             if drive.kept and now_s <= drive.kept_until_s:
-                found.update(
-                    one
-                    for one, since_s in drive.kept.items()
-                    if one > request.priority and since_s + after_s <= drive.kept_until_s - KEPT_S
-                )
+                for one, since_s in drive.kept.items():
+                    if one > request.priority and since_s + after_s <= drive.kept_until_s - KEPT_S:
+                        found.setdefault(one, []).append(drive.name)
         return found
 
     def head(self, priority: Priority, now_s: float) -> Request | None:

@@ -203,7 +203,7 @@ class Duplicates:
         self._late_more = 0  # how many more came that may be late than second ones
         self._late_s = -math.inf  # when one came last that is later than `late_answer`
         self._second: deque[tuple[float, Collection[str]]] = deque(maxlen=1000)
-        self._asked_s: dict[str, float] = {}  # by drive: when it was asked last for anything
+        self._asked_s: dict[str, float] = {}  # by drive that answers: when it was asked last
 
     def asked(self, field: bytes, drive: str, at_s: float) -> None:
         """Note that a drive is asked for an answer that looks like this."""
@@ -230,6 +230,7 @@ class Duplicates:
     def unanswered(self, field: bytes, drive: str, at_s: float) -> None:
         """Note that a drive's answer that looks like this did not come in time."""
         self._now_s = at_s
+        self._asked_s.pop(drive, None)
         self._unanswered.append((at_s, field, drive))
 
     def late_came(self, field: bytes) -> None:
