@@ -11,6 +11,7 @@ must be fed; telegrams to those that showed the stop before let feeds of other d
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 
 from lecombus.drive_state.readings import DriveState
@@ -88,18 +89,7 @@ class Stops:
             for one in able
             if self._context.stands_otherwise(one, one.family.stops[action].code)
         }
-        # Drives that may run, and of these those that answer: each attempt at a silent one waits
-        # for its time-out. Behind a multicast first the one whose watchdog can wait least: nothing
-        # but its proof feeds it meanwhile.
-        feed_by_s = self._context.requests.worker.schedule.feed_by_s
-        order = sorted(
-            able,
-            key=lambda one: (
-                one.name in otherwise,
-                self._context.silence_of(one),
-                0.0 if shared is None else feed_by_s(one.name),
-            ),
-        )
+        order = self._in_order(able, otherwise, by_watchdog=shared is not None)
         endings = {
             one.name: self._say_stop(
                 one,
@@ -119,6 +109,22 @@ class Stops:
             for one in stations if one not in able
         ]  # fmt: skip
         return group_report(target, "multicast" if shared else "one-by-one", reports)
+
+    def _in_order(
+        self, able: Iterable[Station], otherwise: Collection[str], *, by_watchdog: bool
+    ) -> list[Station]:
+        """Put first the drives that may run, and of these those that answer.
+
+        Each attempt at a silent one waits for its time-out. Behind a multicast the one goes first
+        whose watchdog can wait least: nothing but its proof feeds it meanwhile.
+        """
+        feed_by_s = self._context.requests.worker.schedule.feed_by_s
+
+        def place(one: Station) -> tuple[bool, int, float]:
+            by_s = feed_by_s(one.name) if by_watchdog else 0.0
+            return one.name in otherwise, self._context.silence_of(one), by_s
+
+        return sorted(able, key=place)
 
     async def _stop_report(self, station: Station, ending: Ending) -> WriteReport:
         """Wait for a stop and report it by the code written, which may be that of an inhibit."""
