@@ -81,11 +81,11 @@ class WatchdogArbiter:
         if type(entry) is not PollingEntry or not polling.may_wait(entry, now_s):
             return None
         feed = self._watchdogs.pressing(now_s, self._watchdogs.soon_s())
-        if self._watchdogs.late(now_s) is not None:
-            return None
         early = polling.early(feed.drive, now_s) if feed and feed.drive != slot.drive else None
         fits = early is not None and feed and self._serves(early.made(), feed, now_s)
-        return early.made() if early is not None and fits else None
+        if early is None or not fits or self._watchdogs.late(now_s) is not None:
+            return None
+        return early.made()
 
     def urgent(self, now_s: float) -> Request | None:
         """Find the telegram for the feed that goes first, if any is urgent.
@@ -98,7 +98,7 @@ class WatchdogArbiter:
         feeds = self._watchdogs
         for feed in feeds.due(now_s):
             fits = feeds.fits(now_s, feed.worst_s, feed.drive)
-            behind = feeds.lost_too_many(feed)
+            behind = feed.failures > feeds.faults.tolerate
             late = feeds.late(now_s, but=(feed.drive,)) if behind else None
             if late is not None:
                 return self.telegram(late, now_s)
@@ -247,6 +247,8 @@ class Arbiter:
         if top is None or (top.members and top.kept_first):
             return None
         kept = self._waiting.kept_by(top, now_s)
+        if not kept:
+            return None
         found = {one: heads[one] for one in kept if one in heads and heads[one].drive in kept[one]}
         if Priority.CYCLIC in kept and Priority.CYCLIC not in found:
             name = kept[Priority.CYCLIC][0]

@@ -48,7 +48,7 @@ DEFAULT_LIMITS: Final[Mapping[Priority, int]] = {
 KEPT_S: Final = 3.0
 """For so long after a hold, requests that waited for it go before those that would begin another,
 seconds .."""
-KEPT_AFTER_S: Final = 1.0
+KEPT_AFTER_S: Final = 3.0
 """.. if holds have kept it for so long: a client that reads and writes in turn is not a stream."""
 EXPIRE_BATCH: Final = 64  # expired requests ended per choice: about 0.1 ms
 _FIRST_AHEAD: Final = -(1 << 62)  # places of requests that go ahead of their class

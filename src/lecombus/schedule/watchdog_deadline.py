@@ -258,7 +258,7 @@ class WatchdogDeadline:
     def reached(self, started_s: float) -> None:
         """Note that the drive answered an exchange begun at that time."""
         self.heard = True
-        margin_s = self.acts_s - started_s
+        margin_s = self.fed_at_s + self.time_s - started_s
         self.margin_last_s = margin_s
         if margin_s < self.margin_least_s:
             self.margin_least_s = margin_s
@@ -279,7 +279,7 @@ class WatchdogDeadline:
         if self.active and now_s > self.hard_s and not self.missed:
             self.missed = True
             self.misses += 1
-        if self.active and now_s > self.acts_s:
+        if self.active and now_s > self.fed_at_s + self.time_s:
             self.lapsed = True
         if self.heard and not self.counted and now_s > self.runs_from_s + self.time_s:
             self.counted = True

@@ -142,9 +142,8 @@ class DriveSupervisor:
     async def _audit(self, drive: Drive) -> None:
         """Audit one drive once.
 
-        First contact is made with all drives in parallel, and so is the rest where it is quick:
-        what is asked then goes in place of feeds. Where reading a module's own codes takes up to
-        500 ms each, drives come online one by one.
+        First contact is made with all drives in parallel, and so is the rest where it is quick.
+        Where reading a module's own codes takes up to 500 ms each, drives come online one by one.
         """
         if drive.health.state is not DriveState.DEGRADED:
             drive.audit.anew = True  # it may be another device: look at everything again
@@ -177,8 +176,8 @@ class DriveSupervisor:
     async def _examine(self, drive: Drive, turn: AbstractAsyncContextManager[object]) -> None:
         """Find out what is at the other end and put its watchdog in order.
 
-        The rest in two turns: what a drive's watchdog does is looked at before any drive's is set,
-        because one that is off needs no feeding, and with less to feed setting them goes faster.
+        In two turns: what a drive's watchdog does is looked at before any drive's is set, because
+        one that is off needs no feeding, and with less to feed setting them goes faster.
 
         Args:
             drive: The drive.
@@ -190,9 +189,9 @@ class DriveSupervisor:
         station = self._requests.station(drive.name)
         traits = station.family.watchdog if drive.entry.watchdog is not None else None
         action, looked_s = None, 0.0
-        station = await self._prechecks.check_addressing(drive, station)
-        await self._learn_words(station)
         async with turn:
+            station = await self._prechecks.check_addressing(drive, station)
+            await self._learn_words(station)
             known = await self._prechecks.check_identity(drive, station)
             gate = station.family.software
             if gate is not None:
