@@ -60,6 +60,25 @@ def test_after_every_disturbance_on_every_line(size: int, name: str) -> None:
     check(size, name)
 
 
+@pytest.mark.parametrize(("baud", "time_s"), [(9600, 4.0), (19200, 2.5)])
+def test_31_slow_drives_are_online_a_minute_after_the_port_is_back(
+    baud: int, time_s: float
+) -> None:
+    """Their modules' own codes take up to 500 ms, and half the line's time goes to feeding."""
+    drives = [(f"d{one}", 1 + one + one // 9, "820x") for one in range(31)]
+    guard = f"{{time: {time_s}s, action: quick-stop, configure: true}}"
+
+    async def test(plant: Plant) -> None:
+        await plant.online(within_s=240.0)
+        plant.end.unplug()
+        await anyio.sleep(10.0)
+        plant.end.replug()
+        await until(lambda: plant.site.worker.is_open)
+        await plant.online(within_s=60.0)
+
+    with_plant(test, roster_text(drives, baud=baud, watchdog=guard), seed=3, spread=0.3)
+
+
 @pytest.mark.parametrize("name", LATE_ONLY)
 def test_no_answer_is_missed_because_the_daemon_was_late(name: str) -> None:
     """The drives do nothing wrong, so nothing is lost, no drive changes state, and none is slow."""

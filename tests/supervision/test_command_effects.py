@@ -235,7 +235,7 @@ def test_what_the_watchdogs_did_is_known_soon_after_their_lapse(
             loop = asyncio.get_running_loop()
             loop.machine = Paused([(plant.now_s, plant.now_s + 4.0)])  # type: ignore[attr-defined]
             await anyio.sleep(0.1)
-        await anyio.sleep(2.5 if lost else 1.0)  # behind an opening all are audited besides
+        await anyio.sleep(3.5 if lost else 1.0)  # behind an opening all are audited besides
         for name, *_ in SHARED:
             motion = store.motion(name)
             assert (motion.doing, [one.name for one in motion.stops]) == (

@@ -223,6 +223,28 @@ def test_after_the_line_came_back_every_drive_is_audited_again() -> None:
     with_plant(test, roster_text([*ONE, ("b", 12, "8200vector")], watchdog=GUARD))
 
 
+@pytest.mark.parametrize(("family", "time_code", "read"),
+                         [("8200vector", 1923, False), ("smvector", 1425, True)])  # fmt: skip
+def test_the_time_of_a_watchdog_that_a_module_still_has_is_not_read_again(
+    family: str, time_code: int, read: bool
+) -> None:
+    """Its action is back at 0 if the module lost it; what an SMVector has stored proves nothing."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        began = len(plant.reports)
+        plant.end.unplug()
+        await anyio.sleep(1.0)
+        plant.end.replug()
+        await until(lambda: plant.site.worker.is_open)
+        await plant.online()
+        asked = {one.step.code for one in plant.reports[began:]}
+        assert Code(time_code - 1 if family == "8200vector" else time_code + 1) in asked
+        assert (Code(time_code) in asked) is read
+
+    with_plant(test, roster_text([("a", 11, family)], watchdog=GUARD))
+
+
 def test_a_line_that_was_lost_often_is_not_waited_for_longer_when_it_is_back() -> None:
     async def test(plant: Plant) -> None:
         for _ in range(30):

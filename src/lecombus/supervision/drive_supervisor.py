@@ -51,7 +51,7 @@ SETTLED_MOST = 3
 time; `Rechecks` finds one that was lost all the same."""
 
 SLOW_S = 0.1
-"""Audits of modules whose own codes take longer than this to read are made one after the other."""
+"""Watchdogs whose codes take longer than this to read are audited one after the other."""
 
 
 class DriveSupervisor:
@@ -142,8 +142,8 @@ class DriveSupervisor:
     async def _audit(self, drive: Drive) -> None:
         """Audit one drive once.
 
-        First contact is made with all drives in parallel, and so is the rest where it is quick.
-        Where reading a module's own codes takes up to 500 ms each, drives come online one by one.
+        All of it is done with all drives in parallel where it is quick. Where reading a module's
+        own codes takes up to 500 ms each, their watchdogs are audited one after the other.
         """
         if drive.health.state is not DriveState.DEGRADED:
             drive.audit.anew = True  # it may be another device: look at everything again
@@ -176,8 +176,10 @@ class DriveSupervisor:
     async def _examine(self, drive: Drive, turn: AbstractAsyncContextManager[object]) -> None:
         """Find out what is at the other end and put its watchdog in order.
 
-        In two turns: what a drive's watchdog does is looked at before any drive's is set, because
-        one that is off needs no feeding, and with less to feed setting them goes faster.
+        Who it is is asked of all drives in parallel: one audit alone has a request waiting only
+        now and then, and the cyclic reads take the line's time between. Its watchdog takes two
+        turns: what it does is looked at before any drive's is set, because one that is off needs
+        no feeding, and with less to feed setting them goes faster.
 
         Args:
             drive: The drive.
@@ -187,19 +189,19 @@ class DriveSupervisor:
             LecombusError: It could not be finished.
         """
         station = self._requests.station(drive.name)
-        traits = station.family.watchdog if drive.entry.watchdog is not None else None
-        action, looked_s = None, 0.0
+        station = await self._prechecks.check_addressing(drive, station)
+        await self._learn_words(station)
+        known = await self._prechecks.check_identity(drive, station)
+        gate = station.family.software
+        if gate is not None:
+            await self._prechecks.check_software(drive, station, gate, known.get(gate.code))
+        traits = station.family.watchdog
+        if traits is None or drive.entry.watchdog is None:
+            return
         async with turn:
-            station = await self._prechecks.check_addressing(drive, station)
-            await self._learn_words(station)
-            known = await self._prechecks.check_identity(drive, station)
-            gate = station.family.software
-            if gate is not None:
-                await self._prechecks.check_software(drive, station, gate, known.get(gate.code))
-            if traits is not None:
-                looked_s = self._clock()
-                action = await self._watchdogs.look(drive, station, traits)
-        if action is not None and traits is not None:
+            looked_s = self._clock()
+            action = await self._watchdogs.look(drive, station, traits)
+        if action is not None:
             async with turn:
                 await self._settle(drive, station, traits, action, looked_s)
 

@@ -186,9 +186,11 @@ class WatchdogAudit:
         """Read the time, unless the action shows that nothing was lost since it was in order.
 
         A module that lost its settings with its supply has its action back at 0, and reading a
-        module's own code keeps everybody else waiting for half a second.
+        module's own code keeps everybody else waiting for half a second. Settings that are stored
+        show nothing of that where the drive may be another device. `Rechecks` reads both.
         """
-        known = None if drive.audit.anew else drive.audit.watchdog
+        asked_anew = drive.audit.anew and not traits.volatile
+        known = None if asked_anew else drive.audit.watchdog
         if target.armed and action == target.action and known == target:
             return target.time_s
         return number(await self._read(station, traits.time_code)) / 1000.0
