@@ -198,11 +198,14 @@ LEAST_OF_MOST: Final = 1 / 6
 LEAST_SECOND_ANSWERS: Final = 3
 """Fewer second answers than this within a minute mean nothing."""
 
-PART_OF_KNOWN: Final = 0.85
+PART_OF_KNOWN: Final = 0.6
+PART_OF_LATELY: Final = 0.85
 PART_OF_ALL: Final = 1 / 3
 """Where two drives have one address, so many of those whose drive is known come after its answers,
 and so many of those may have that came after anyone's lately; and so many of all. What only one
-drive is asked for is known to be its own also where all come twice."""
+drive is asked for is known to be its own also where all come twice. A second answer that comes
+while another drive is asked for the same is taken for its, whose own is the second one then: of
+those known some are others'."""
 
 
 class SecondAnswerCount(NamedTuple):
@@ -235,8 +238,9 @@ class SecondAnswerCount(NamedTuple):
     def may_be_two(self, drive: str) -> bool:
         """Whether two drives may have this drive's address.
 
-        Nearly all came after its answers, or after those of a few drives of the line: an adapter
-        that delivers answers twice does it to all of them alike.
+        Nearly all may have come after its answers, or after those of a few drives of the line, and
+        most of those that are known did: an adapter that delivers answers twice does it to all of
+        them alike.
         """
         known = Counter(self.alone)
         most = known.most_common(max(self.drives // DRIVES_PER_PAIR, 1))
@@ -246,7 +250,7 @@ class SecondAnswerCount(NamedTuple):
             return False
         explained = sum(not few.keys().isdisjoint(names) for names in self.whose)
         lately = sum(map(bool, self.whose))
-        return explained >= max(PART_OF_KNOWN * lately, PART_OF_ALL * self.total)
+        return explained >= max(PART_OF_LATELY * lately, PART_OF_ALL * self.total)
 
 
 class LateWakes(Protocol):
