@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lecombus.api.decimal_json import NotJsonError, decode, encode
+from lecombus.api.decimal_json import NotJsonError, decode, decode_texts, encode
 from lecombus.parameters import Json
 
 decimals = st.decimals(allow_nan=False, allow_infinity=False, places=4, min_value=-(10**9))
@@ -95,3 +95,13 @@ def test_decimals_stay_exact_beside_half_a_character(number: str) -> None:
     assert text.isascii()
     assert number in text
     assert json.loads(text, parse_float=Decimal) == document
+
+
+@pytest.mark.parametrize("text", [b"[" * 8000, b'{"a":' * 257, b"[[]," * 129])
+def test_a_text_of_many_parts_is_refused_before_it_is_read(text: bytes) -> None:
+    """Thousands of arrays made the interpreter look for garbage for milliseconds."""
+    with pytest.raises(NotJsonError, match="brackets that open; at most 256 are read"):
+        decode(text)
+    with pytest.raises(NotJsonError, match="brackets that open; at most 256 are read"):
+        decode_texts(text, ())
+    assert decode(b"[" * 128 + b"]" * 128) is not None

@@ -343,6 +343,9 @@ async def test_why_a_drive_does_not_turn_is_told_in_the_language_asked_for(
     answer = await client.get("/v1/drives/feeder/why?fresh=true&lang=de")
     found = WhyDocument.model_validate(answer.json())
     assert found.findings[0].text == "der Regler ist gesperrt"
-    assert line.ops.asked == [("why", "feeder", False), ("why", "feeder", True)]
+    assert line.ops.asked == [
+        ("why", "feeder", False, Priority.INTERACTIVE),
+        ("why", "feeder", True, Priority.INTERACTIVE),
+    ]
     refused = await client.get("/v1/drives/feeder/why?lang=fr")
     assert refused.status_code == 422

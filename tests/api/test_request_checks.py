@@ -67,7 +67,7 @@ def test_the_example_that_a_refusal_gives_is_taken(model: type[Body]) -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("row", ['"valu%x":1', '"%d":{}', '"expire%d":[[1]]'])
+@pytest.mark.parametrize("row", ['"valu%x":1', '"%d":null', '"expire%d":true'])
 def test_near_matches_are_sought_for_no_more_keys_than_are_told(
     calls: Counter[str], model: type[Body], row: str
 ) -> None:
@@ -139,7 +139,7 @@ def test_keys_that_stand_twice_deep_in_a_stop_are_not_looked_for(
         return plain(pairs)
 
     monkeypatch.setattr(decimal_json, "repeated", repeated)
-    inner = ",".join('{"a":1,"a":1}' for _ in range(500))
+    inner = ",".join('{"a":1,"a":1}' for _ in range(100))
     text = f'{{"action": "inhibit", "target": "all", "k": [{inner}], "k": 1}}'
     decimal_json.decode_texts(text.encode(), ("action", "target"))
     assert counted == [4]

@@ -249,7 +249,7 @@ async def test_a_byte_order_mark_before_a_stop_is_skipped(line: Line) -> None:
         (b'{"k": 1, "k": 2, "target": "all"}', "key action is missing"),
         (b'[{"k": 1, "k": 2}]', "not a JSON object"),
         (b'{"action": "inhibit", "target": "all", "k": %s}' % (b"[" * 4000 + b"]" * 4000),
-         "nested too deeply"),
+         "it has 4001 brackets that open; at most 256 are read"),
         (b'{"action": "inhibit", "target": "all", "k": "\xff"}', "not JSON"),
     ],
 )  # fmt: skip

@@ -18,6 +18,7 @@ from starlette.types import Receive, Scope, Send
 
 from lecombus.api import limits, serve, tcp_connection
 from lecombus.api.tcp_connection import CpuShare
+from lecombus.schedule import Priority
 from support.api_line import Line
 from support.virtual_loop import run
 
@@ -333,3 +334,21 @@ async def test_a_forwarded_port_is_this_machine(line: Line, tmp_path: Path, host
         writer.write(request.encode())
         assert (await answer(reader))[0] == 200
         writer.close()
+
+
+async def test_why_reads_in_the_background_over_tcp(line: Line, tmp_path: Path) -> None:
+    """It is a dozen reads in one request, and halved the margin of the watchdogs."""
+    why = b"GET /v1/drives/feeder/why?fresh=true HTTP/1.1\r\nHost: localhost\r\n\r\n"
+    async with serving(line, tmp_path) as place:
+        reader, writer = await asyncio.open_connection(*place)
+        writer.write(why)
+        assert (await answer(reader))[0] == 200
+        writer.close()
+        local, to_local = await asyncio.open_unix_connection(tmp_path / "s")
+        to_local.write(why)
+        assert (await answer(local))[0] == 200
+        to_local.close()
+    assert line.ops.asked == [
+        ("why", "feeder", True, Priority.BACKGROUND),
+        ("why", "feeder", True, Priority.INTERACTIVE),
+    ]

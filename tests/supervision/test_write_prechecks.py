@@ -336,3 +336,40 @@ def test_a_device_that_is_asked_no_more_who_it_is_may_be_written_to() -> None:
         assert lock(plant) == ""
 
     with_plant(test, roster_text(device, drive="identity: {C0200: x}"))
+
+
+@pytest.mark.parametrize("family", ["93xx", "821x"])
+@pytest.mark.parametrize("recorded", [False, True])
+def test_a_second_answer_is_not_taken_for_who_another_drive_is(
+    family: str, *, recorded: bool
+) -> None:
+    """All drives are asked at once; copies were recorded, and locked the drives later."""
+    names = [f"d{one}" for one in range(8)]
+    own = {name: f"{name}-250601" for name in names}
+    before = {name: DriveFacts(identity={"C0201": text}) for name, text in own.items()}
+    state = State(before if recorded else {})
+
+    async def test(plant: Plant) -> None:
+        for name, text in own.items():
+            plant.line[name].model.params.set(201, f"S{text}")
+        await plant.online(within_s=120.0)
+        found = {name: state.drive(name).identity.get("C0201", "none") for name in names}
+        assert not [name for name in names if found[name] not in (own[name], "none")]
+        assert list(found.values()).count("none") <= 2
+        assert [lock(plant, name) for name in names] == [""] * 8
+
+    drives = [(name, 11 + place, family) for place, name in enumerate(names)]
+    with_plant(test, roster_text(drives, baud=9600), faults="double=1:6ms-18ms", state=state)
+
+
+def test_a_drive_that_was_swapped_is_found_where_answers_come_twice() -> None:
+    state = State({name: DriveFacts(identity={"C1810": "33S2102I_10000"}) for name in "ab"})
+
+    async def test(plant: Plant) -> None:
+        make_another(plant, "b")
+        await plant.online()
+        assert lock(plant, "a") == ""
+        assert "C1810 reads 33S2102I_20000, not 33S2102I_10000" in lock(plant, "b")
+
+    two = [("a", 11, "8200vector"), ("b", 12, "8200vector")]
+    with_plant(test, roster_text(two), faults="double=1:6ms-18ms", state=state)

@@ -159,8 +159,10 @@ class FakeOperations:
         self.store.drive(drive)
         return RestoreRights(drive, permitted=True, owned=(Code(1922), Code(1923)))
 
-    async def why(self, drive: str, *, fresh: bool = False) -> WhyReport:
-        await self._ask("why", drive, fresh)
+    async def why(
+        self, drive: str, *, fresh: bool = False, priority: Priority = Priority.INTERACTIVE
+    ) -> WhyReport:
+        await self._ask("why", drive, fresh, priority)
         text = Text("the controller is inhibited", "der Regler ist gesperrt")
         finding = StandstillFinding(
             "inhibited", Weight.REASON, text, Text("", ""), "C0150 reads H0380", 0.5

@@ -32,6 +32,10 @@ NOT_PRINTABLE: Final = re.compile(r"[^\x00-\x7e]+")
 SHORT_CHARS: Final = 80
 """The most that is given back of what a client sent."""
 
+PARTS_LIMIT: Final = 256
+"""Opening brackets of a text, read or not. Thousands of arrays make the interpreter look for
+garbage, which takes milliseconds. No request has more than ten."""
+
 NUMBER_CHARS: Final = 128
 """The longest value that a telegram carries has 241 characters, but no number has that many."""
 
@@ -84,12 +88,20 @@ def written(value: Json) -> str:
     return json.dumps(value) if isinstance(value, str) else ENCODER.encode(value).decode()
 
 
+def refuse_many_parts(text: bytes) -> None:
+    """Refuse what takes long to read, before it is read."""
+    parts = text.count(b"[") + text.count(b"{")
+    if parts > PARTS_LIMIT:
+        raise NotJsonError(f"it has {parts} brackets that open; at most {PARTS_LIMIT} are read")
+
+
 def decode(text: bytes) -> object:
     """Return what a JSON text says; numbers with a point or exponent become decimals.
 
     Raises:
-        NotJsonError: It is not UTF-8, not JSON, has a key twice, or is nested without end.
+        NotJsonError: It is not UTF-8, not JSON, has a key twice, or too many arrays and objects.
     """
+    refuse_many_parts(text)
     try:
         return json.loads(
             text.decode("utf-8"),
@@ -98,8 +110,6 @@ def decode(text: bytes) -> object:
             parse_constant=refuse_constant,
             object_pairs_hook=unique_keys,
         )
-    except RecursionError as exc:
-        raise NotJsonError("it is nested too deeply") from exc
     except ValueError as exc:
         raise NotJsonError(str(exc)) from exc
 
@@ -114,13 +124,12 @@ def decode_texts(text: bytes, once: Collection[str]) -> object:
         once: Keys that stand at most once in it, if it is an object; any other may repeat.
 
     Raises:
-        NotJsonError: It is not UTF-8, not JSON, has one of those keys twice, or is nested without
-            end.
+        NotJsonError: It is not UTF-8, not JSON, has one of those keys twice, or too many arrays
+            and objects.
     """
+    refuse_many_parts(text)
     try:
         given = TEXTS_DECODER.decode(text.decode("utf-8-sig"))
-    except RecursionError as exc:
-        raise NotJsonError("it is nested too deeply") from exc
     except ValueError as exc:
         raise NotJsonError(str(exc)) from exc
     if isinstance(given, Repeating):

@@ -59,6 +59,7 @@ __all__ = [
     "RequestLimiter",
     "SparseLog",
     "connection_limit",
+    "is_paced",
     "is_stop",
     "is_stop_verb",
 ]
@@ -68,6 +69,9 @@ LEASES_PATH: Final = "/v1/leases"
 EVENTS_PATH: Final = "/v1/events"
 STOP_VERB_ENDS: Final = ("/verbs/inhibit", "/verbs/quick-stop")
 STOP_ENDS: Final = (STOP_PATH, *STOP_VERB_ENDS)
+
+PACED: Final = "lecombus.paced"
+"""In the scope of a request that had to wait for its turn with the line."""
 
 HEAD_LIMIT: Final = 16 * 1024
 HEADERS_LIMIT: Final = 64
@@ -211,6 +215,7 @@ class PacedLineRequests:
             self._next_s = begins_s + self._gap_s
             if begins_s > now_s:
                 await asyncio.sleep(begins_s - now_s)
+            scope[PACED] = True
         await self._app(scope, receive, send)
 
 
@@ -321,6 +326,11 @@ class SparseLog:
             text = " ".join(f"{key}={value}" for key, value in fields.items())
             self._logger.warning("event=%s %s count=%d", self._event, text, self._count)
             self._logged_at_s, self._count = now_s, 0
+
+
+def is_paced(scope: Scope) -> bool:
+    """Return whether a request had to wait for its turn with the line."""
+    return PACED in scope
 
 
 def needs_line(scope: Scope) -> bool:

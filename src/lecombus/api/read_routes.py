@@ -20,6 +20,7 @@ from starlette.routing import Route
 
 from lecombus.api.answers import ProblemDocument, RefusedRequestError, json_response, text_response
 from lecombus.api.decimal_json import encode
+from lecombus.api.limits import is_paced
 from lecombus.api.request_checks import code_of, read_query, refuse_query
 from lecombus.api.request_models import AddressQuery, ValueQuery, WhyQuery
 from lecombus.api.scopes import reaches
@@ -30,6 +31,7 @@ from lecombus.errors import OperationError
 from lecombus.operations.actions import ACTOR
 from lecombus.operations.facade import Operations
 from lecombus.parameters import Json
+from lecombus.schedule import Priority
 
 __all__ = ["ADDRESSES_PATH", "KEEPS_S", "PageCache", "ReadRoutes"]
 
@@ -190,7 +192,12 @@ class ReadRoutes:
     async def why(self, request: Request) -> Response:
         """Why a drive does not turn: what is known to keep it from that, and what to do next."""
         query = read_query(request, WhyQuery)
-        report = await self._ops.why(request.path_params["drive"], fresh=query.fresh)
+        report = await self._ops.why(
+            request.path_params["drive"],
+            fresh=query.fresh,
+            # One such request is many reads: over TCP they keep no watchdog waiting.
+            priority=Priority.BACKGROUND if is_paced(request.scope) else Priority.INTERACTIVE,
+        )
         return json_response(report.as_json(query.lang))
 
     async def plan(self, request: Request) -> Response:

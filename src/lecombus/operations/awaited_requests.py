@@ -60,6 +60,9 @@ WRITE_TRIES: Final = 3
 NAK_READS: Final = 3
 """A drive that refuses a code so often in a row does not have it: no noise makes that many NAKs."""
 
+OWN_READS: Final = 3
+"""So many values a code may show until one is read again and is certain to be the drive's own."""
+
 BACK_WITHIN_S: Final = 300.0
 """A drive that fell silent less than so long ago is expected back, seconds."""
 
@@ -379,6 +382,36 @@ class Requests:
             expires_at_s=self._clock() + timeout_s,
         )  # fmt: skip
         return await self._value(request, ending, station, code)
+
+    def may_be_anothers(self) -> bool:
+        """Whether an answer may be another drive's: one came without a request within a minute."""
+        return bool(self.worker.exchange_loop.second_answers(self._clock()).whose)
+
+    async def own_value(
+        self, station: Station, code: Code, value: Value, *, timeout_s: float
+    ) -> Value | None:
+        """Read until it is certain which value is this drive's; None: it does not get so.
+
+        Args:
+            station: The drive.
+            code: What was read.
+            value: What it read as.
+            timeout_s: Each reading is not begun after this long, seconds.
+
+        Raises:
+            UnknownCodeError: It has no such code: the value was another drive's.
+            LecombusError: As for `read`.
+        """
+        for _ in range(OWN_READS):
+            found, doubt = await self.read_back(
+                station, code, value, Priority.INTERACTIVE, timeout_s=timeout_s
+            )
+            if doubt:
+                return None
+            if found.means_same(value):
+                return found
+            value = found
+        return None
 
     async def _value(
         self, request: Request, ending: Ending, station: Station, code: Code

@@ -86,14 +86,21 @@ class Operations:
         self.identity: Final = self.identities.report
         self.wear: Final = context.wear.report
 
-    async def why(self, drive: str, *, fresh: bool = False) -> WhyReport:
-        """Say why a drive does not turn; `fresh`: after reading the few codes that matter.
+    async def why(
+        self, drive: str, *, fresh: bool = False, priority: Priority = Priority.INTERACTIVE
+    ) -> WhyReport:
+        """Say why a drive does not turn.
+
+        Args:
+            drive: The drive.
+            fresh: Read the few codes that matter first.
+            priority: The class in which they are read.
 
         Raises:
             OperationError: No such drive.
         """
         self.context.station(drive)
-        return await self.context.why.why(drive, fresh=fresh)
+        return await self.context.why.why(drive, fresh=fresh, priority=priority)
 
     async def write(
         self,

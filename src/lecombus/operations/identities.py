@@ -95,6 +95,15 @@ class Identities:
             if not is_identity(value, roster.get(code, record.get(str(code))))
         ]  # fmt: skip
 
+    def unconfirmed(self, drive: Drive, found: Mapping[Code, Value]) -> list[Code]:
+        """Return the codes that read otherwise than was said, and those of which nothing was."""
+        roster, record = drive.entry.identity, self._state.drive(drive.name).identity
+        differing = self.differing(drive, found)
+        return [
+            code for code in found
+            if code in differing or (code not in roster and str(code) not in record)
+        ]  # fmt: skip
+
     def judge(self, drive: Drive, found: Mapping[Code, Value]) -> None:
         """Take what a drive says of itself: record it, or lock the drive where it differs.
 

@@ -6,7 +6,7 @@ words and values say by the reasons of the data files (`drives.faults.reasons`),
 itself knows (locks, a watchdog fed too late), then the fault memories. An enable that was refused
 or taken back is remembered, with its cause, until one succeeds. A value that is not fresh
 is used and called stale; one that is not known proves nothing. With `fresh` the few codes that
-matter are read first, in the interactive class.
+matter are read first.
 """
 
 from __future__ import annotations
@@ -122,19 +122,22 @@ class StandstillDiagnosis:
             report.cause, remedy, by_drive,
         )  # fmt: skip
 
-    async def why(self, drive: str, *, fresh: bool = False) -> WhyReport:
+    async def why(
+        self, drive: str, *, fresh: bool = False, priority: Priority = Priority.INTERACTIVE
+    ) -> WhyReport:
         """Say why a drive does not turn.
 
         Args:
             drive: The drive's name.
             fresh: Read the few codes that matter first.
+            priority: The class in which they are read.
 
         Raises:
             OperationError: No such drive.
         """
         self._requests.station(drive)  # before anything is read: there is no such drive
         if fresh:
-            await self._read_now(drive)
+            await self._read_now(drive, priority)
         return self.report(drive)
 
     def report(self, drive: str) -> WhyReport:
@@ -199,7 +202,7 @@ class StandstillDiagnosis:
     def _codes(self, family: Family) -> tuple[Code, ...]:
         return tuple(dict.fromkeys((*family.words, *asked_codes(family.name))))
 
-    async def _read_now(self, drive: str) -> None:
+    async def _read_now(self, drive: str, priority: Priority) -> None:
         """Read what matters; what cannot be read stays as it was known."""
         until_s = self._clock() + FRESH_S
         family = self._store.family(drive)
@@ -217,9 +220,7 @@ class StandstillDiagnosis:
                 return
             try:
                 station = self._requests.station(drive)
-                await self._requests.read(
-                    station, code, Priority.INTERACTIVE, timeout_s=left_s, retries=1
-                )
+                await self._requests.read(station, code, priority, timeout_s=left_s, retries=1)
             except UnknownCodeError:
                 continue  # an older drive may lack it
             except LineError:

@@ -8,6 +8,8 @@ In this order, each before the first write of the audit itself:
    what was asked for: every value is bad and nothing is written.
 2. *identity*: is it the drive that was there (`operations.identities`)? What differs is read twice
    before it is believed: one damaged character may pass the BCC.
+   Where answers come twice it may be another drive's, as what is recorded for the first time may:
+   both are read until it is certain whose they are. What does not get certain counts as not read.
 3. *software*: the manual of the SMVector forbids writing to any software but its own.
 
 Each check that fails is a remark (`readings.WRITE_LOCKS`); stops pass all of them.
@@ -25,7 +27,7 @@ from lecombus.drive_state.readings import ADDRESSING_LOCK, ADDRESSING_MOVED, SOF
 from lecombus.drive_state.store import Store
 from lecombus.drives import SoftwareGate
 from lecombus.drives.procedures import identity_codes
-from lecombus.errors import OperationError
+from lecombus.errors import ExchangeError, OperationError, UnknownCodeError
 from lecombus.fieldbus.protocols import find
 from lecombus.fieldbus.requests import Station
 from lecombus.operations.awaited_requests import Requests
@@ -135,8 +137,11 @@ class WritePrechecks:
         """
         codes = identity_codes(drive.entry.identity, station.family.identity)
         found = await self._read_identity(station, codes)
-        doubtful = self._identities.differing(drive, found)
-        found |= await self._read_all(station, doubtful)
+        if self._requests.may_be_anothers():
+            found = await self._own_identity(drive, station, found)
+        else:
+            doubtful = self._identities.differing(drive, found)
+            found |= await self._read_all(station, doubtful)
         if found or not codes:  # where nothing is asked for any more, nothing differs
             self._identities.judge(drive, found)
         return found
@@ -158,6 +163,29 @@ class WritePrechecks:
                 hindered = f"who it is cannot be checked: {exc}"
         self._store.note(station.name, UNCHECKED, hindered)
         return found
+
+    async def _own_identity(
+        self, drive: Drive, station: Station, found: dict[Code, Value]
+    ) -> dict[Code, Value]:
+        """Leave out what may be another drive's, and remark that."""
+        own, unsure = dict(found), []
+        for code in self._identities.unconfirmed(drive, found):
+            value = own.pop(code)
+            try:
+                sure = await self._requests.own_value(station, code, value, timeout_s=PATIENCE_S)
+            except UnknownCodeError:
+                continue  # it was another's
+            except ExchangeError:
+                sure = None
+            if sure is None:
+                unsure.append(str(code))
+            else:
+                own[code] = sure
+        if unsure:
+            codes = " and ".join(unsure)
+            text = f"who it is cannot be checked: answers come twice, {codes} may be another's"
+            self._store.note(station.name, UNCHECKED, text)
+        return own
 
     async def check_software(
         self, drive: Drive, station: Station, gate: SoftwareGate, known: Value | None
