@@ -103,7 +103,7 @@ MUTANTS: dict[str, Mutant] = {
         "finished",
         "feed.reached(started_s)",
         "feed.reached(now_s)",
-        (309, 892),
+        (119, 882),
         tolerate=1,
     ),
     "a write feeds for longer than a read": Mutant(
