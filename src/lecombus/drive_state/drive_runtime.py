@@ -208,6 +208,7 @@ class AuditRecord:
         tried: First contact was tried.
         watchdog: What its watchdog was set to when it was last looked at; None: it was not seen.
         anew: It may be another device since: its whole setting is read again.
+        assumed: Its watchdog's time is taken to be as it was, and was not read since a silence.
     """
 
     running: RunningAudit | None = None
@@ -215,6 +216,7 @@ class AuditRecord:
     tried: bool = False
     watchdog: WatchdogSetting | None = None
     anew: bool = True
+    assumed: bool = False
 
 
 @dataclass(slots=True)

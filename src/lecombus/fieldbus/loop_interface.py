@@ -199,13 +199,15 @@ LEAST_SECOND_ANSWERS: Final = 3
 """Fewer second answers than this within a minute mean nothing."""
 
 PART_OF_KNOWN: Final = 0.6
+PART_OF_FEW: Final = 0.85
 PART_OF_LATELY: Final = 0.85
 PART_OF_ALL: Final = 1 / 3
 """Where two drives have one address, so many of those whose drive is known come after its answers,
 and so many of those may have that came after anyone's lately; and so many of all. What only one
 drive is asked for is known to be its own also where all come twice. A second answer that comes
 while another drive is asked for the same is taken for its, whose own is the second one then: of
-those known some are others'."""
+those known some are others'. Of few drives one has so many also where all come twice:
+`PART_OF_FEW` of those known must be its."""
 
 
 class SecondAnswerCount(NamedTuple):
@@ -246,7 +248,8 @@ class SecondAnswerCount(NamedTuple):
         most = known.most_common(max(self.drives // DRIVES_PER_PAIR, 1))
         least = max(LEAST_SECOND_ANSWERS, LEAST_OF_MOST * most[0][1] if most else 0)
         few = {name: count for name, count in most if count >= least}
-        if drive not in few or sum(few.values()) < PART_OF_KNOWN * known.total():
+        part = PART_OF_FEW if self.drives <= DRIVES_PER_PAIR else PART_OF_KNOWN
+        if drive not in few or sum(few.values()) < part * known.total():
             return False
         explained = sum(not few.keys().isdisjoint(names) for names in self.whose)
         lately = sum(map(bool, self.whose))

@@ -177,13 +177,36 @@ class DriveSupervisor:
         """Find out what is at the other end and put its watchdog in order.
 
         Who it is is asked of all drives in parallel: one audit alone has a request waiting only
-        now and then, and the cyclic reads take the line's time between. Its watchdog takes two
-        turns: what it does is looked at before any drive's is set, because one that is off needs
-        no feeding, and with less to feed setting them goes faster.
+        now and then, and the cyclic reads take the line's time between. Where answers come twice
+        it is asked in turn: the answer of the drive before would fit. Its watchdog takes two turns:
+        what it does is looked at before any drive's is set, because one that is off needs no
+        feeding, and with less to feed setting them goes faster.
 
         Args:
             drive: The drive.
-            turn: Entered for each of the two.
+            turn: Entered for each turn.
+
+        Raises:
+            LecombusError: It could not be finished.
+        """
+        in_turn = self._requests.may_be_anothers()
+        seen_s = self._clock()
+        async with turn if in_turn else contextlib.nullcontext():
+            station = await self._identify(drive)
+        traits = station.family.watchdog
+        if traits is None or drive.entry.watchdog is None:
+            return
+        async with turn:
+            if drive.lasting.restarted_s >= seen_s:
+                seen_s = self._clock()
+                station = await self._identify(drive)
+            action = await self._watchdogs.look(drive, station, traits)
+        if action is not None:
+            async with turn:
+                await self._settle(drive, station, traits, action, seen_s)
+
+    async def _identify(self, drive: Drive) -> Station:
+        """See who a drive is, and learn how it is to be spoken to and stopped.
 
         Raises:
             LecombusError: It could not be finished.
@@ -195,15 +218,7 @@ class DriveSupervisor:
         gate = station.family.software
         if gate is not None:
             await self._prechecks.check_software(drive, station, gate, known.get(gate.code))
-        traits = station.family.watchdog
-        if traits is None or drive.entry.watchdog is None:
-            return
-        async with turn:
-            looked_s = self._clock()
-            action = await self._watchdogs.look(drive, station, traits)
-        if action is not None:
-            async with turn:
-                await self._settle(drive, station, traits, action, looked_s)
+        return station
 
     async def _settle(
         self,
@@ -211,27 +226,29 @@ class DriveSupervisor:
         station: Station,
         traits: WatchdogTraits,
         action: int | None,
-        looked_s: float,
+        seen_s: float,
     ) -> None:
         """Put a watchdog in order, by what it does now.
 
-        A module that lost its supply since it was looked at has its action back at 0.
+        A drive that was silent since it was looked at may be another device, and a module that
+        lost its supply has its action back at 0.
 
         Args:
             drive: The drive.
             station: How it is spoken to.
             traits: How its watchdog is set.
             action: What its watchdog did when it was looked at; None: that cannot be seen.
-            looked_s: When that began, monotonic seconds.
+            seen_s: When it was looked at who it is, monotonic seconds.
         """
         for _ in range(SETTLED_MOST):
-            if drive.lasting.restarted_s >= looked_s:
-                looked_s = self._clock()
+            if drive.lasting.restarted_s >= seen_s:
+                seen_s = self._clock()
+                station = await self._identify(drive)
                 action = await self._watchdogs.look(drive, station, traits)
             if action is None:
                 return
             await self._watchdogs.settle(drive, station, traits, action)
-            if drive.lasting.restarted_s < looked_s:
+            if drive.lasting.restarted_s < seen_s:
                 return
 
     async def _learn_words(self, station: Station) -> None:
@@ -255,6 +272,8 @@ class DriveSupervisor:
         try:
             if drive.entry.watchdog is None and family.watchdog is not None:
                 await self._watchdogs.learn(drive.name, station, family.watchdog)
+            if drive.audit.assumed:
+                await self._rechecks.look(drive.name)
             # The setpoint is shown beside the speed; `configurations` takes what C1921 brings.
             for code in filter(None, (learnt_setpoint(family), family.shortened_code)):
                 await self._requests.read(station, code, Priority.BACKGROUND, timeout_s=PATIENCE_S)

@@ -187,12 +187,15 @@ class WatchdogAudit:
 
         A module that lost its settings with its supply has its action back at 0, and reading a
         module's own code keeps everybody else waiting for half a second. Settings that are stored
-        show nothing of that where the drive may be another device. `Rechecks` reads both.
+        show nothing of that where the drive may be another device. What is assumed behind a
+        silence is looked at when the drive is online.
         """
         asked_anew = drive.audit.anew and not traits.volatile
         known = None if asked_anew else drive.audit.watchdog
         if target.armed and action == target.action and known == target:
+            drive.audit.assumed |= drive.audit.anew
             return target.time_s
+        drive.audit.assumed = False
         return number(await self._read(station, traits.time_code)) / 1000.0
 
     async def _configure(
@@ -304,7 +307,7 @@ class Rechecks:
             pause_s = self._round_s(drives) / max(1, len(drives))
             for drive in drives:
                 await anyio.sleep(pause_s)
-                await self._look(drive.name)
+                await self.look(drive.name)
             if not drives:
                 await anyio.sleep(pause_s)
 
@@ -332,7 +335,7 @@ class Rechecks:
         is_online = drive.health.state is DriveState.ONLINE
         return is_online and not remarks.keys().isdisjoint((ADDRESSING_LOCK, ADDRESSING_MOVED))
 
-    async def _look(self, name: str) -> None:
+    async def look(self, name: str) -> None:
         """Ask one drive, if it is still one to be asked."""
         drive = self._requests.drives.find(name)
         if drive is not None and self._is_moved(drive):
@@ -343,11 +346,13 @@ class Rechecks:
             return
         try:
             change = await self._watchdogs.changed(drive, *watched)
+            drive.audit.assumed = False
         except LecombusError as exc:
             logger.debug("drive=%s event=not-rechecked reason=%s", name, exc)
             return
         if change and self._watched(self._requests.drives.find(name)) == watched:
             logger.warning("drive=%s event=watchdog-changed reason=%s", name, change)
+            drive.audit.watchdog = None  # what was known is not so: both codes are read
             self._health.doubted(drive, f"its watchdog was changed {change}: to be audited")
 
 

@@ -9,7 +9,8 @@ In this order, each before the first write of the audit itself:
 2. *identity*: is it the drive that was there (`operations.identities`)? What differs is read twice
    before it is believed: one damaged character may pass the BCC.
    Where answers come twice it may be another drive's, as what is recorded for the first time may:
-   both are read until it is certain whose they are. What does not get certain counts as not read.
+   both are read until it is certain whose they are. If that does not get certain, the audit is made
+   again where they differ, and otherwise nothing is recorded.
 3. *software*: the manual of the SMVector forbids writing to any software but its own.
 
 Each check that fails is a remark (`readings.WRITE_LOCKS`); stops pass all of them.
@@ -27,7 +28,7 @@ from lecombus.drive_state.readings import ADDRESSING_LOCK, ADDRESSING_MOVED, SOF
 from lecombus.drive_state.store import Store
 from lecombus.drives import SoftwareGate
 from lecombus.drives.procedures import identity_codes
-from lecombus.errors import ExchangeError, OperationError, UnknownCodeError
+from lecombus.errors import OperationError, UnknownCodeError
 from lecombus.fieldbus.protocols import find
 from lecombus.fieldbus.requests import Station
 from lecombus.operations.awaited_requests import Requests
@@ -35,7 +36,7 @@ from lecombus.operations.identities import Identities
 from lecombus.operations.readdress import Readdress
 from lecombus.parameters import Code, Value
 from lecombus.schedule import Priority
-from lecombus.supervision.watchdogs import DOES_NOT_FIT, PATIENCE_S
+from lecombus.supervision.watchdogs import DOES_NOT_FIT, PATIENCE_S, AuditError
 
 __all__ = ["WritePrechecks"]
 
@@ -167,20 +168,26 @@ class WritePrechecks:
     async def _own_identity(
         self, drive: Drive, station: Station, found: dict[Code, Value]
     ) -> dict[Code, Value]:
-        """Leave out what may be another drive's, and remark that."""
+        """Read until it is certain who it is; what would be recorded first may stay unknown.
+
+        Raises:
+            AuditError: It seems to be another drive, and that is not certain.
+            LecombusError: It could not be read.
+        """
         own, unsure = dict(found), []
+        differing = self._identities.differing(drive, found)
         for code in self._identities.unconfirmed(drive, found):
             value = own.pop(code)
             try:
                 sure = await self._requests.own_value(station, code, value, timeout_s=PATIENCE_S)
             except UnknownCodeError:
                 continue  # it was another's
-            except ExchangeError:
-                sure = None
-            if sure is None:
-                unsure.append(str(code))
-            else:
+            if sure is not None:
                 own[code] = sure
+            elif code in differing:
+                raise AuditError(f"{code} reads {value.raw}, which may be another drive's answer")
+            else:
+                unsure.append(str(code))
         if unsure:
             codes = " and ".join(unsure)
             text = f"who it is cannot be checked: answers come twice, {codes} may be another's"
