@@ -178,9 +178,9 @@ class DriveSupervisor:
 
         Who it is is asked of all drives in parallel: one audit alone has a request waiting only
         now and then, and the cyclic reads take the line's time between. Where answers come twice
-        it is asked in turn: the answer of the drive before would fit. Its watchdog takes two turns:
-        what it does is looked at before any drive's is set, because one that is off needs no
-        feeding, and with less to feed setting them goes faster.
+        it is asked of one after the other: a neighbour's answer to the same question would fit. Its
+        watchdog takes two turns: what it does is looked at before any drive's is set, because one
+        that is off needs no feeding, and with less to feed setting them goes faster.
 
         Args:
             drive: The drive.
@@ -189,10 +189,13 @@ class DriveSupervisor:
         Raises:
             LecombusError: It could not be finished.
         """
-        in_turn = self._requests.may_be_anothers()
-        seen_s = self._clock()
-        async with turn if in_turn else contextlib.nullcontext():
+        seen_s, station = self._clock(), self._requests.station(drive.name)
+        if not self._requests.may_be_anothers():
             station = await self._identify(drive)
+        if self._requests.may_be_anothers():  # also if that has shown only now
+            async with self._one_at_a_time:
+                seen_s = self._clock()
+                station = await self._identify(drive)
         traits = station.family.watchdog
         if traits is None or drive.entry.watchdog is None:
             return
