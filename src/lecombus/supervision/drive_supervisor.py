@@ -46,9 +46,6 @@ logger = logging.getLogger(__name__)
 FIRST_RETRY_S = 1.0
 LONGEST_RETRY_S = 30.0
 
-APART_S = 0.3
-"""Second answers come so much later at most, seconds: those of one drive are over by then."""
-
 SETTLED_MOST = 3
 """So often a watchdog is put in order in one audit, where its drive is silent for a while each
 time; `Rechecks` finds one that was lost all the same."""
@@ -199,7 +196,6 @@ class DriveSupervisor:
             async with self._one_at_a_time:
                 seen_s = self._clock()
                 station = await self._identify(drive)
-                await anyio.sleep(APART_S)
         traits = station.family.watchdog
         if traits is None or drive.entry.watchdog is None:
             return
