@@ -245,6 +245,22 @@ def test_the_time_of_a_watchdog_that_a_module_still_has_is_not_read_again(
     with_plant(test, roster_text([("a", 11, family)], watchdog=GUARD))
 
 
+def test_a_time_that_another_master_changed_meanwhile_is_set_again_soon() -> None:
+    """It is not read before the drive is online, so it is read directly behind that."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        plant.end.unplug()
+        plant.line["a"].model.params.set(1923, "60000")
+        await anyio.sleep(1.0)
+        plant.end.replug()
+        await until(lambda: plant.site.worker.is_open)
+        await until(lambda: plant.line["a"].text(1923) == "2000", within_s=30.0)
+        await plant.online()
+
+    with_plant(test, roster_text([*ONE, ("b", 12, "8200vector")], watchdog=GUARD))
+
+
 def test_a_line_that_was_lost_often_is_not_waited_for_longer_when_it_is_back() -> None:
     async def test(plant: Plant) -> None:
         for _ in range(30):

@@ -107,3 +107,15 @@ def test_times_of_a_watchdog_that_is_off_in_drive_and_roster_are_no_difference(
 
     off = f"watchdog: {{time: 2s, action: none, configure: {configure}}}"
     with_plant(test, roster_text(drives, drive=off))
+
+
+def test_a_time_that_alone_was_changed_is_set_again() -> None:
+    """The action is as it was: without more the audit took the time for what was known."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online(within_s=60.0)
+        plant.line["a"].model.params.set(1923, "60000")
+        await until(lambda: plant.line["a"].text(1923) == "2000", within_s=2.5 * ROUND_S)
+        await plant.online(within_s=60.0)
+
+    with_plant(test, roster_text(VECTOR, drive=watched("true")))

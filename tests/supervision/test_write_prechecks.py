@@ -10,6 +10,7 @@ import pytest
 from lecombus.drive_state.readings import DriveState, Quality
 from lecombus.drives import StopAction
 from lecombus.errors import OperationError
+from lecombus.fieldbus.lecom.simulator.faults import parse_faults
 from lecombus.fieldbus.lecom.simulator.parameters import CommError, ExtendedError, Refusal
 from lecombus.parameters import Code
 from lecombus.saved_state import DriveFacts, State
@@ -373,3 +374,64 @@ def test_a_drive_that_was_swapped_is_found_where_answers_come_twice() -> None:
 
     two = [("a", 11, "8200vector"), ("b", 12, "8200vector")]
     with_plant(test, roster_text(two), faults="double=1:6ms-18ms", state=state)
+
+
+@pytest.mark.parametrize(
+    "faults", ["double=0.3:6ms-18ms,lost=0.15", "double=0.05:20ms-100ms,lost=0.1"]
+)
+def test_a_swapped_drive_stays_locked_where_answers_come_twice_and_some_are_lost(
+    faults: str,
+) -> None:
+    """What it reads could not be confirmed, counted as not read, and the lock was taken back."""
+    names = [f"d{one}" for one in range(8)]
+
+    def run(seed: int) -> None:
+        async def test(plant: Plant) -> None:
+            await plant.online(within_s=300.0)
+            for name in names[::3]:
+                make_another(plant, name)
+            await replug(plant, 6.0)
+            await plant.online(within_s=300.0)
+            assert all(lock(plant, name) for name in names[::3])
+            plant.line.faults = parse_faults(faults)
+            await anyio.sleep(20.0)
+            await replug(plant, 1.0)
+            await plant.online(within_s=600.0)
+            assert all(lock(plant, name) for name in names[::3]), seed
+
+        drives = [(name, 11 + place, "8200vector") for place, name in enumerate(names)]
+        with_plant(test, roster_text(drives, baud=9600), seed=seed, state=State())
+
+    for seed in range(10):
+        run(seed)
+
+
+@pytest.mark.parametrize(
+    ("family", "faults"), [("8200vector", "double=1:50ms-300ms"), ("93xx", "double=1:6ms-18ms")]
+)
+def test_a_moved_addressing_is_not_hidden_by_a_neighbours_second_answer(
+    family: str, faults: str
+) -> None:
+    names = [f"d{one}" for one in range(8)]
+
+    def run(seed: int) -> None:
+        async def test(plant: Plant) -> None:
+            for name in names[::3]:
+                plant.line[name].model.params.set(249, "1")
+            await plant.online(within_s=600.0)
+            for name in names[::3]:
+                assert "addressing-moved" in plant.site.store.drive(name).remarks, (seed, name)
+
+        drives = [(name, 11 + place, family) for place, name in enumerate(names)]
+        with_plant(test, roster_text(drives, baud=9600), faults=faults, seed=seed, state=State())
+
+    for seed in range(6):
+        run(seed)
+
+
+async def replug(plant: Plant, after_s: float) -> None:
+    plant.end.unplug()
+    await anyio.sleep(after_s)
+    plant.end.replug()
+    await until(lambda: plant.site.worker.is_open)
+    await anyio.sleep(1.0)
