@@ -198,9 +198,9 @@ LEAST_OF_MOST: Final = 1 / 6
 LEAST_SECOND_ANSWERS: Final = 3
 """Fewer second answers than this within a minute mean nothing."""
 
-PART_OF_KNOWN: Final = 0.6
+PART_OF_KNOWN: Final = 0.5
 PART_OF_FEW: Final = 0.85
-PART_OF_LATELY: Final = 0.85
+PART_OF_LATELY: Final = 0.75
 PART_OF_ALL: Final = 1 / 3
 """Where two drives have one address, so many of those whose drive is known come after its answers,
 and so many of those may have that came after anyone's lately; and so many of all. What only one
