@@ -246,7 +246,7 @@ def test_the_time_of_a_watchdog_that_a_module_still_has_is_not_read_again(
 
 
 def test_a_time_that_another_master_changed_meanwhile_is_set_again_soon() -> None:
-    """It is not read before the drive is online, so it is read directly behind that."""
+    """It is not read before the drive is online, so it is read soon after."""
 
     async def test(plant: Plant) -> None:
         await plant.online()

@@ -275,8 +275,6 @@ class DriveSupervisor:
         try:
             if drive.entry.watchdog is None and family.watchdog is not None:
                 await self._watchdogs.learn(drive.name, station, family.watchdog)
-            if drive.audit.assumed:
-                await self._rechecks.look(drive.name)
             # The setpoint is shown beside the speed; `configurations` takes what C1921 brings.
             for code in filter(None, (learnt_setpoint(family), family.shortened_code)):
                 await self._requests.read(station, code, Priority.BACKGROUND, timeout_s=PATIENCE_S)

@@ -57,6 +57,10 @@ EVERY_S = 300.0
 LINE_SHARE = 0.01
 """Each drive is asked again this often, seconds, or as seldom as this part of the line allows."""
 
+ASSUMED_EVERY_S = 5.0
+ASSUMED_SHARE = 0.1
+"""What was assumed is looked for so often, seconds, and read in this part of the line's time."""
+
 
 class WatchdogAudit:
     """Compares and sets the watchdogs of one line's drives.
@@ -301,24 +305,40 @@ class Rechecks:
 
     async def run(self) -> None:
         """Go round for as long as the daemon lives."""
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(self._look_at_assumed)
+            await self._go_round()
+
+    async def _look_at_assumed(self) -> None:
+        """Look at the watchdogs whose time was taken to be as it was before a silence."""
+        while True:
+            await anyio.sleep(ASSUMED_EVERY_S)
+            for drive in list(self._requests.drives):
+                watched = self._watched(drive)
+                if drive.audit.assumed and watched is not None:
+                    await anyio.sleep(self._cost_s(*watched) / ASSUMED_SHARE)
+                    await self._look(drive.name)
+
+    async def _go_round(self) -> None:
         while True:
             drives = [one for one in self._requests.drives
                       if self._watched(one) is not None or self._is_moved(one)]  # fmt: skip
             pause_s = self._round_s(drives) / max(1, len(drives))
             for drive in drives:
                 await anyio.sleep(pause_s)
-                await self.look(drive.name)
+                await self._look(drive.name)
             if not drives:
                 await anyio.sleep(pause_s)
 
     def _round_s(self, drives: list[Drive]) -> float:
         """Give how long one round takes, seconds."""
-        cost_s = 0.0
-        for watched in filter(None, map(self._watched, drives)):
-            station, traits = watched
-            for code in (traits.time_code, traits.action_code):
-                cost_s += self._requests.maker.cost_of_read_s(station, code)
+        cost_s = sum(self._cost_s(*one) for one in filter(None, map(self._watched, drives)))
         return max(EVERY_S, cost_s / LINE_SHARE)
+
+    def _cost_s(self, station: Station, traits: WatchdogTraits) -> float:
+        """Give what it takes to read a watchdog's setting, seconds."""
+        codes = traits.time_code, traits.action_code
+        return sum(self._requests.maker.cost_of_read_s(station, code) for code in codes)
 
     def _watched(self, drive: Drive | None) -> tuple[Station, WatchdogTraits] | None:
         """A drive that is online, and of whose watchdog the roster and an audit know."""
@@ -335,7 +355,7 @@ class Rechecks:
         is_online = drive.health.state is DriveState.ONLINE
         return is_online and not remarks.keys().isdisjoint((ADDRESSING_LOCK, ADDRESSING_MOVED))
 
-    async def look(self, name: str) -> None:
+    async def _look(self, name: str) -> None:
         """Ask one drive, if it is still one to be asked."""
         drive = self._requests.drives.find(name)
         if drive is not None and self._is_moved(drive):
