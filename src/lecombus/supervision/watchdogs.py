@@ -58,7 +58,7 @@ LINE_SHARE = 0.01
 """Each drive is asked again this often, seconds, or as seldom as this part of the line allows."""
 
 ASSUMED_EVERY_S = 5.0
-ASSUMED_SHARE = 0.1
+ASSUMED_SHARE = 0.03
 """What was assumed is looked for so often, seconds, and read in this part of the line's time."""
 
 
