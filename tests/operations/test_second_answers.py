@@ -22,7 +22,7 @@ from lecombus.fieldbus.lecom.protocol.telegrams import ValueAnswer
 from lecombus.fieldbus.lecom.simulator.drive import SimDrive
 from lecombus.fieldbus.lecom.simulator.families.f82xx import Drive821X, Vector8200
 from lecombus.fieldbus.lecom.simulator.faults import parse_faults
-from lecombus.fieldbus.loop_interface import ExchangeReport
+from lecombus.fieldbus.loop_interface import ExchangeReport, SecondAnswerCount
 from lecombus.fieldbus.requests import Station
 from lecombus.operations.operation_reports import GroupReport
 from lecombus.parameters import Code, Format, Value
@@ -581,3 +581,23 @@ def test_a_quick_stop_is_made_from_the_word_that_the_last_exchange_read() -> Non
     for seed in range(10):
         run(test(seed))
     assert stops > 10 * len(SOME)
+
+
+def counted(drives: int, **rows: int) -> SecondAnswerCount:
+    """Make a count: `d3_d4=2` is two answers that may have come after either's."""
+    whose = [frozenset(names.split("_")) for names, times in rows.items() for _ in range(times)]
+    return SecondAnswerCount(whose, drives)
+
+
+def test_two_drives_are_found_although_others_own_answers_come_second() -> None:
+    """As counted on a line of 8 drives of which two are d3, before stops that were verified."""
+    early = counted(8, d3=7, d4=3, d5=1, d6=1, d3_d4=5, d2_d3=3)
+    later = counted(8, d3=24, d4=3, d5=1, d6=1, d3_d4=24, d2_d3=13, d1_d3=10)
+    for found in (early, later):
+        assert [f"d{one}" for one in range(9) if found.may_be_two(f"d{one}")] == ["d3"]
+
+
+def test_the_drive_that_is_read_most_is_not_two_on_a_line_of_two() -> None:
+    found = counted(2, d0=20, d1=10, d0_d1=40)
+    assert not found.may_be_two("d0")
+    assert counted(2, d0=20, d1=1, d0_d1=40).may_be_two("d0")

@@ -339,10 +339,12 @@ def test_a_device_that_is_asked_no_more_who_it_is_may_be_written_to() -> None:
     with_plant(test, roster_text(device, drive="identity: {C0200: x}"))
 
 
-@pytest.mark.parametrize("family", ["93xx", "821x"])
+@pytest.mark.parametrize(
+    ("family", "faults"), [("93xx", "double=0.5:10ms-100ms"), ("821x", "double=1:20ms-500ms")]
+)
 @pytest.mark.parametrize("recorded", [False, True])
 def test_a_second_answer_is_not_taken_for_who_another_drive_is(
-    family: str, *, recorded: bool
+    family: str, faults: str, *, recorded: bool
 ) -> None:
     """All drives are asked at once; copies were recorded, and locked the drives later."""
     names = [f"d{one}" for one in range(8)]
@@ -360,7 +362,7 @@ def test_a_second_answer_is_not_taken_for_who_another_drive_is(
         assert [lock(plant, name) for name in names] == [""] * 8
 
     drives = [(name, 11 + place, family) for place, name in enumerate(names)]
-    with_plant(test, roster_text(drives, baud=9600), faults="double=1:6ms-18ms", state=state)
+    with_plant(test, roster_text(drives, baud=9600), faults=faults, state=state)
 
 
 def test_a_drive_that_was_swapped_is_found_where_answers_come_twice() -> None:
