@@ -66,6 +66,32 @@ def test_a_stop_ends_it_whatever_it_is(code: int, value: int | str, action: Stop
     with_plant(test, ROSTER)
 
 
+@pytest.mark.parametrize("target", ["a", "two"])
+def test_a_stop_ends_it_also_where_the_drive_holds_the_value_already(target: str) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        operations, ramp = plant.site.operations, Code(12)
+        await operations.write_group("two", ramp, 7)
+        reads = await busy(plant)
+
+        async def write_again() -> list[WriteReport]:
+            if target == "a":
+                return [await operations.write("a", ramp, 7)]
+            return list((await operations.write_group("two", ramp, 7)).members)
+
+        again = asyncio.create_task(write_again())
+        await anyio.lowlevel.checkpoint()
+        stop = await operations.stop(INHIBIT, "a")
+        assert stop.outcome is Outcome.VERIFIED
+        ended = {one.drive: one for one in await again}
+        assert (ended["a"].outcome, ended["a"].kind) == (Outcome.SUPERSEDED, "superseded")
+        if target == "two":
+            assert ended["b"].reason == "already there, not written", "another drive's goes on"
+        await asyncio.gather(*reads)
+
+    with_plant(test, ROSTER)
+
+
 SETTINGS = [(1, 0, True), (127, 1, True), (777, 5, True), (11, 60, True), (1920, 1, False)]
 """Code, value, and whether it could move the drive; 1 and 11 are stored, and read first."""
 

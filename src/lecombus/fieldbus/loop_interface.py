@@ -240,9 +240,9 @@ class SecondAnswerCount(NamedTuple):
     def may_be_two(self, drive: str) -> bool:
         """Whether two drives may have this drive's address.
 
-        Nearly all may have come after its answers, or after those of a few drives of the line, and
-        most of those that are known did: an adapter that delivers answers twice does it to all of
-        them alike.
+        Many of the latest may have come after its answers, or after those of a few drives of the
+        line, and so did a large part of those that are known (`PART_OF_KNOWN`; on lines of few
+        drives `PART_OF_FEW`): an adapter that delivers answers twice does it to all drives alike.
         """
         known = Counter(self.alone)
         most = known.most_common(max(self.drives // DRIVES_PER_PAIR, 1))

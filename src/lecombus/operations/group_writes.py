@@ -94,15 +94,15 @@ class GroupWrites:
         if not all(asks_to_stop(one.family, code, wire) for one, wire in pairs):
             refuse_for_gone_client(group)
         there: Sequence[WriteReport | None] = [None] * len(stations)
-        if any(wears(one.family, code) for one in stations):
+        if stored := any(wears(one.family, code) for one in stations):
             there = await self._already_there(
                 stations, code, wires, verify=bool(verify), within_s=expires_s
             )
-            if len(known := [one for one in there if one is not None]) == len(stations):
-                return group_report(group, "one-by-one", known)
-            # They may have changed during the read.
-            stations, wires = self._permitted_all(group, code, value)
         there = self._unless_stopped(stations, code, wires, there, before)
+        if len(known := [one for one in there if one is not None]) == len(stations):
+            return group_report(group, "one-by-one", known)
+        if stored:  # they may have changed during the read
+            stations, wires = self._permitted_all(group, code, value)
         to = self._shared(group, stations, code, wires, there)
         if to is None:
             read_back = bool(verify)

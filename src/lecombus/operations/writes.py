@@ -91,11 +91,11 @@ class Writes:
             there = await self.already_there(
                 station, code, wire, verify=verify, within_s=expires_s, urgency=urgency
             )
-            if there is not None:
-                return there
             # The drive may have been stopped, changed or removed during the read.
             if self._context.stop_marks.is_outdated(drive, mark) or since():
                 return stopped_first(drive, code)
+            if there is not None:
+                return there
             station = self._context.requests.station(drive)
             wire = self._context.permissions.permitted(
                 drive, station, code, value, restoring=restoring

@@ -377,7 +377,7 @@ class Rechecks:
 
 
 class AuditError(LecombusError):
-    """A drive says something about its watchdog that makes no sense, or stops ended its write."""
+    """What a drive says in its audit makes no sense or may be another's, or a write was ended."""
 
 
 def number(value: Value) -> float:
