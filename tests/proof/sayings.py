@@ -35,10 +35,9 @@ ASKED = {Priority.INTERACTIVE, Priority.BACKGROUND}
 NEVER_SAID = {Outcome.EXPIRED, Outcome.SUPERSEDED}
 AFTER_NAK = 2
 """A plain write that a drive refuses is said once more: a damaged one is refused, too."""
-VALUE_READINGS, ADDRESS_READINGS = 2, 10
-"""What was written is read in two forms at most, and the drive's own address a few times."""
-PAUSELESS_READINGS = 4
-"""A reading directly behind another drive's same question proves nothing, and is made again."""
+VALUE_READINGS, ADDRESS_READINGS = 4, 10
+"""What was written is read in two forms, and the drive's own address a few times. A reading
+directly behind another drive's same question proves nothing and is made again: at most so many."""
 KEPT = 4
 Key = tuple[int, tuple[int, int]]
 
@@ -104,7 +103,7 @@ class Sayings:
         if isinstance(job, ReadJob):
             return self._read_taken(request, job.step.code)
         if isinstance(job, ReadBackJob):
-            return self._read_taken(request, job.written.code, PAUSELESS_READINGS)
+            return self._read_taken(request, job.written.code, VALUE_READINGS)
         if isinstance(job, WriteJob):
             return self._write_taken(request, job)
         return None
