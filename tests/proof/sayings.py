@@ -172,8 +172,9 @@ class Sayings:
             if entry.time_s >= one.asked_s and (entry.code, entry.subcode) == key[1]
         ]  # fmt: skip
         done = [e for e in entries if e.kind == "write" and e.accepted and e.text == one.text]
-        if not done and outcome is Outcome.VERIFIED and key[1] in STOPPING:
-            # Another code's write may have brought the drive there: then a reading proves it.
+        otherwise = key[1] in STOPPING or self._was_written_as_group(key, one)
+        if not done and outcome is Outcome.VERIFIED and otherwise:
+            # Another write may have brought the drive there: then a reading proves it.
             done = [e for e in entries if e.kind == "read" and e.accepted and e.text == one.text]
             if done:
                 return
@@ -183,6 +184,14 @@ class Sayings:
             e.kind == "read" and e.time_s > done[0].time_s for e in entries
         ):
             self._say(f"{what} ended as {outcome} and was never read back")
+
+    def _was_written_as_group(self, key: Key, one: _Write) -> bool:
+        """Whether the drive has this value from a group's write: members share their values."""
+        entries = [
+            entry for entry in self._sim[one.drive].log
+            if entry.kind != "read" and entry.accepted and (entry.code, entry.subcode) == key[1]
+        ]  # fmt: skip
+        return bool(entries) and (entries[-1].kind, entries[-1].text) == ("group", one.text)
 
     # -- stops -------------------------------------------------------------------------------
 
