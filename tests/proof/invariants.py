@@ -196,6 +196,7 @@ class Invariants:
         """A drive is to be stopped; give when."""
         self._stops.asked(drive, self._now())
         self._sayings.stop_asked(drive)
+        self.shown.stop_asked(drive)
         return self._now()
 
     def stop_ended(self, drive: str, outcome: str, asked_s: float) -> None:

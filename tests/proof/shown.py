@@ -104,6 +104,7 @@ class Shown:
         self._enable_asked_s: dict[str, float] = {}
         self._proven: dict[str, bool] = {}
         self._proven_s: dict[str, float] = {}
+        self._proven_before_s: dict[str, float] = {}  # when the last stop was asked for
         self._leased = line.leased
 
     # -- what the clients tell ---------------------------------------------------------------
@@ -130,6 +131,11 @@ class Shown:
         self._enabling[drive] -= 1
         self._enabled_s[drive] = self._clock()
 
+    def stop_asked(self, drive: str) -> None:
+        """Somebody wants a drive to stop: one of all drives may have been proven there already."""
+        if self._proven.get(drive):
+            self._proven_before_s[drive] = self._proven_s[drive]
+
     def stop_ended(self, drive: str, outcome: str, asked_s: float) -> None:
         """The stop that was asked for at a time has its outcome."""
         now_s = self._clock()
@@ -141,6 +147,7 @@ class Shown:
         model = self._sim[drive].model
         standing = model.pulses_off() or model.stop_wanted()
         proven = self._proven.get(drive)
+        proven = proven or self._proven_before_s.get(drive, -math.inf) >= asked_s
         if self._leased:  # the multicast of a lapse may come behind the proof of another stop
             proven = proven or self._proven_s.get(drive, -math.inf) >= asked_s
         if outcome == Outcome.VERIFIED and not proven:
