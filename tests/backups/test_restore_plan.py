@@ -95,6 +95,14 @@ def test_digits_for_a_word_block_the_restore_with_both_readings() -> None:
     assert [step.value.raw for step in made.steps] == ["H0208"]
 
 
+def test_digits_for_a_word_that_is_never_restored_block_the_restore_too() -> None:
+    for backup in (backup_of(DRIVE, {"C0150": "0208"}), backup_of("820x", {"C0135": "0208"})):
+        made = make_plan(backup, backup.family, {})
+        assert "0208 could be H0208 (520) or decimal 208 (H00D0)" in "".join(made.blockers)
+    made = make_plan(backup_of("820x", {"C0135": "H0208"}), family("820x"), {})
+    assert (made.blockers, [str(skip.code) for skip in made.skips]) == ((), ["C0135"])
+
+
 def test_the_plan_ends_by_saving_where_the_family_needs_it() -> None:
     save = plan().save
     assert save is not None

@@ -8,7 +8,7 @@ cannot be one) stands in `blockers`, and then there is no restore.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 
 from lecombus.drives import (
@@ -22,7 +22,7 @@ from lecombus.drives import (
 )
 from lecombus.drives.procedures import ReadAttempt
 from lecombus.errors import CodeValueError
-from lecombus.parameters import Code, Value
+from lecombus.parameters import Code, Format, Value
 
 from .backup_file import Backup, BackupEntry, Section, meaning_of, section_of
 
@@ -141,6 +141,7 @@ def make_plan(
         why = why_skipped(family, entry, now, owned)
         if why is not None:
             skips.append(skip(family, entry, why, owned))
+            wrong_values += digits_for_a_word(family, entry)
             continue
         assert entry.value is not None
         present = now[code].value
@@ -148,7 +149,7 @@ def make_plan(
         try:
             value = encode_for(family, code, entry.value.raw)
         except CodeValueError as exc:
-            wrong_values.append(": ".join(filter(None, (entry.place, str(exc)))))
+            wrong_values.append(refusal(entry, exc))
             continue
         if present.means_same(value):
             same[code] = value
@@ -176,6 +177,27 @@ def why_skipped(
         text = answer.text if answer is not None else "it was not asked"
         return f"the drive does not give it now: {text}"
     return None
+
+
+def digits_for_a_word(family: Family, entry: BackupEntry) -> Iterator[str]:
+    """Refuse digits that could be a word or a decimal, also where they are not written.
+
+    A drive sends such a code as a word: somebody edited the file, and means something by it.
+    """
+    info, value = family.info(entry.code), entry.value
+    if info is None or value is None or info.format is not Format.VH or value.format is Format.VH:
+        return
+    if value.raw in set("0123456789"):
+        return  # one digit is the same number in both
+    try:
+        encode_for(family, entry.code, value.raw)
+    except CodeValueError as exc:
+        yield refusal(entry, exc)
+
+
+def refusal(entry: BackupEntry, error: CodeValueError) -> str:
+    """Say what is wrong with a value of the file, and where it stands."""
+    return ": ".join(filter(None, (entry.place, str(error))))
 
 
 def skip(family: Family, entry: BackupEntry, why: str, owned: Collection[Code]) -> Skip:
