@@ -352,3 +352,18 @@ async def test_why_reads_in_the_background_over_tcp(line: Line, tmp_path: Path) 
         ("why", "feeder", True, Priority.BACKGROUND),
         ("why", "feeder", True, Priority.INTERACTIVE),
     ]
+
+
+async def test_fresh_values_are_read_in_the_background_over_tcp(line: Line, tmp_path: Path) -> None:
+    """A module's own code takes as long as ten feeds, and anybody may ask for it there."""
+    asked = FRESH.replace(b"fresh=true", b"fresh=true&priority=interactive")
+    read_as = []
+    async with serving(line, tmp_path) as place:
+        local = asyncio.open_unix_connection(tmp_path / "s")
+        for opened in (asyncio.open_connection(*place), local):
+            reader, writer = await opened
+            writer.write(asked)
+            await answer(reader)
+            writer.close()
+            read_as.append(line.ops.read_as)
+    assert read_as == [(Priority.BACKGROUND, 45.0), (Priority.INTERACTIVE, 10.0)]
