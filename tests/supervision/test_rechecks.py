@@ -119,3 +119,55 @@ def test_a_time_that_alone_was_changed_is_set_again() -> None:
         await plant.online(within_s=60.0)
 
     with_plant(test, roster_text(VECTOR, drive=watched("true")))
+
+
+@pytest.mark.parametrize("late", ["supply", "line"])
+def test_a_watchdog_that_passed_unfed_is_looked_at_at_once(late: str) -> None:
+    """The supply fails while others' time-outs take the line: no answer of the drive is missed."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online(within_s=60.0)
+        await anyio.sleep(10.0)
+        params = plant.line["a"].model.params
+        assert params.text(1922) == "2"
+        states = []
+        if late == "supply":
+            params.set(1922, "0")
+        began_s = plant.now_s
+        plant.site.drives.get("a").feed.lapses -= 1  # one more was counted since the last look
+        plant.site.supervision.watch.look()
+        for _ in range(100):
+            await anyio.sleep(0.1)
+            states.append(plant.state("a"))
+        assert len(asked(plant, Code(1922), began_s)) == 1
+        assert params.text(1922) == "2"
+        assert (DriveState.STARTING in states) is (late == "supply")
+        await plant.online(within_s=60.0)
+
+    with_plant(test, roster_text(VECTOR, drive=watched("true")))
+
+
+def test_drives_whose_supply_failed_for_two_seconds_have_their_watchdogs_again() -> None:
+    """Some of them miss no answer: the others' time-outs take the line meanwhile."""
+    names = [f"v{number}" for number in range(1, 9)]
+
+    async def looked_at(plant: Plant, for_s: int) -> None:
+        for _ in range(for_s):
+            await anyio.sleep(1.0)
+            plant.site.supervision.watch.look()
+
+    def forgotten(plant: Plant) -> list[str]:
+        return [name for name in names if plant.line[name].model.params.text(1922) != "2"]
+
+    async def test(plant: Plant) -> None:
+        await plant.online(within_s=120.0)
+        await looked_at(plant, 30)
+        assert forgotten(plant) == []
+        for name in names:
+            plant.power_cycle(name, 2.2)
+        await looked_at(plant, 60)
+        assert forgotten(plant) == []
+        await plant.online(within_s=10.0)
+
+    drives = [(name, number, "8200vector") for number, name in enumerate(names, 1)]
+    with_plant(test, roster_text(drives, drive=watched("true")))

@@ -200,7 +200,7 @@ class RunningAudit:
 class AuditRecord:
     """How far the drive's audit has come.
 
-    Changed by `drive_supervisor`, `health` and `watchdogs` of `supervision`.
+    Changed by `drive_supervisor`, `health`, `line_watch` and `watchdogs` of `supervision`.
 
     Args:
         running: The audit under way or waiting to begin.
@@ -209,6 +209,7 @@ class AuditRecord:
         watchdog: What its watchdog was set to when it was last looked at; None: it was not seen.
         anew: It may be another device since: its whole setting is read again.
         assumed: Its watchdog's time is taken to be as it was, and was not read since a silence.
+        unfed: It was not heard for longer than its watchdog's time since that was last looked at.
     """
 
     running: RunningAudit | None = None
@@ -217,6 +218,7 @@ class AuditRecord:
     watchdog: WatchdogSetting | None = None
     anew: bool = True
     assumed: bool = False
+    unfed: bool = False
 
 
 @dataclass(slots=True)

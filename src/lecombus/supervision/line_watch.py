@@ -92,7 +92,7 @@ class LineWatch:
         found = self._worker.exchange_loop.second_answers(now_s)
         remark_second_answers(found, self._drives, self._store)
         self._line.health.check_overdue()
-        self._log_lapses(stats.feeds)
+        self._note_lapses(stats.feeds)
         self._keep_lapses(now_s)
         states = {drive.health.state for drive in self._drives}
         self._overload.note(
@@ -178,12 +178,13 @@ class LineWatch:
                 quick_stops = drive.watchdog_quick_stops
                 self._store.watchdog_lapsed(drive.name, now_s, quick_stops=quick_stops)
 
-    def _log_lapses(self, feeds: Mapping[str, WatchdogStats]) -> None:
-        """Log each watchdog whose time ran out unfed, once per lapse that was counted."""
+    def _note_lapses(self, feeds: Mapping[str, WatchdogStats]) -> None:
+        """Log each watchdog whose time ran out unfed, once per lapse, and have it looked at."""
         for name, feed in feeds.items():
             drive = self._drives.find(name)
             if drive is None:
                 continue
             if feed.lapses > drive.feed.lapses:
                 logger.warning("drive=%s event=watchdog-missed time_s=%g", name, feed.time_s)
+                drive.audit.unfed = True
             drive.feed.lapses = feed.lapses

@@ -8,8 +8,10 @@ An audit follows silence. But a drive can lose its settings without ever being m
 is put back to its defaults at its keypad, a module that is seldom asked restarts between two reads.
 Its watchdog is off from then on, and nothing on the line shows it. So `Rechecks` asks one drive
 after the other in the background, each every five minutes, or as seldom as keeps all of it to a
-hundredth of the line's time: a module's own codes take half a second each. What differs makes the
-drive one to be audited. A drive whose addressing was moved is audited so often: it may be back.
+hundredth of the line's time: a module's own codes take half a second each. A drive that was not
+heard for longer than its watchdog's time is asked at once what its watchdog does: other drives'
+time-outs may have taken the line while its supply failed. What differs makes the drive one to be
+audited. A drive whose addressing was moved is audited so often: it may be back.
 Source: EDB2102EN 6.3 (C1920..C1923; kept without supply: nothing), CMVLC401A 7.3.
 """
 
@@ -17,7 +19,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
 
 import anyio
 
@@ -56,6 +58,9 @@ DOES_NOT_FIT = "does-not-fit"
 EVERY_S = 300.0
 LINE_SHARE = 0.01
 """Each drive is asked again this often, seconds, or as seldom as this part of the line allows."""
+
+UNFED_EVERY_S = 1.0
+"""Drives whose watchdog's time passed unfed are looked for so often, seconds."""
 
 ASSUMED_EVERY_S = 5.0
 ASSUMED_SHARE = 0.03
@@ -99,6 +104,24 @@ class WatchdogAudit:
         found = await self._read_setting(station, traits, Priority.BACKGROUND)
         if found.acts_like(known) or drive.audit.watchdog != known:
             return ""
+        return f"from {describe(traits, known)} to {describe(traits, found)}"
+
+    async def lost(self, drive: Drive, station: Station, traits: WatchdogTraits) -> str:
+        """Look, when the line has time, whether a module forgot its watchdog with its supply.
+
+        Returns:
+            How it changed, in words; empty where it did not, or was never seen.
+
+        Raises:
+            LecombusError: It could not be read.
+        """
+        known = drive.audit.watchdog
+        if known is None or not known.armed or not traits.volatile:
+            return ""
+        action = int(number(await self._read(station, traits.action_code, Priority.BACKGROUND)))
+        if action == known.action or drive.audit.watchdog != known:
+            return ""
+        found = WatchdogSetting(known.time_s, action)
         return f"from {describe(traits, known)} to {describe(traits, found)}"
 
     async def look(self, drive: Drive, station: Station, traits: WatchdogTraits) -> int | None:
@@ -228,7 +251,7 @@ class WatchdogAudit:
         remedy: str,
     ) -> None:
         """Feed by what the drive really has, and say where that differs from the roster."""
-        drive.audit.watchdog, drive.audit.anew = found, False
+        drive.audit.watchdog, drive.audit.anew, drive.audit.unfed = found, False, False
         text = None
         if not found.acts_like(target):
             text = (
@@ -306,8 +329,23 @@ class Rechecks:
     async def run(self) -> None:
         """Go round for as long as the daemon lives."""
         async with anyio.create_task_group() as tasks:
+            tasks.start_soon(self._look_at_unfed)
             tasks.start_soon(self._look_at_assumed)
             await self._go_round()
+
+    async def _look_at_unfed(self) -> None:
+        """Look at the watchdogs that may have been lost while their drives were not asked.
+
+        The drive stays online: mostly the line or the daemon was late, and nothing was lost.
+        """
+        while True:
+            await anyio.sleep(UNFED_EVERY_S)
+            for drive in list(self._requests.drives):
+                watched = self._watched(drive)
+                if drive.audit.unfed and watched is not None:
+                    drive.audit.unfed = False  # it may be unfed again while it is read
+                    if not await self._compare(drive, watched, self._watchdogs.lost):
+                        drive.audit.unfed = True
 
     async def _look_at_assumed(self) -> None:
         """Look at the watchdogs whose time was taken to be as it was before a silence."""
@@ -364,16 +402,30 @@ class Rechecks:
         watched = self._watched(drive)
         if drive is None or watched is None:
             return
-        try:
-            change = await self._watchdogs.changed(drive, *watched)
+        if await self._compare(drive, watched, self._watchdogs.changed):
             drive.audit.assumed = False
+
+    async def _compare(
+        self,
+        drive: Drive,
+        watched: tuple[Station, WatchdogTraits],
+        changed: Callable[[Drive, Station, WatchdogTraits], Awaitable[str]],
+    ) -> bool:
+        """Have a drive audited if its watchdog has changed; False: that could not be seen."""
+        name = drive.name
+        try:
+            change = await changed(drive, *watched)
         except LecombusError as exc:
             logger.debug("drive=%s event=not-rechecked reason=%s", name, exc)
-            return
-        if change and self._watched(self._requests.drives.find(name)) == watched:
-            logger.warning("drive=%s event=watchdog-changed reason=%s", name, change)
-            drive.audit.watchdog = None  # what was known is not so: both codes are read
-            self._health.doubted(drive, f"its watchdog was changed {change}: to be audited")
+            return False
+        if not change:
+            return True
+        if self._watched(self._requests.drives.find(name)) != watched:
+            return False
+        logger.warning("drive=%s event=watchdog-changed reason=%s", name, change)
+        drive.audit.watchdog = None  # what was known is not so: both codes are read
+        self._health.doubted(drive, f"its watchdog was changed {change}: to be audited")
+        return True
 
 
 class AuditError(LecombusError):
