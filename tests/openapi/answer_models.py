@@ -135,7 +135,10 @@ class MotionDocument(Document):
     ]
     stops: Annotated[list[StopShownDocument], Field(description="What stops it")]
     speed: Annotated[SpeedDocument | None, Field(description="Output frequency")]
-    zero: Annotated[bool | None, Field(description="It reports its speed as 0")]
+    zero: Annotated[
+        bool | None,
+        Field(description="Its output frequency is 0 (93XX: its speed); the motor may coast"),
+    ]
     setpoint: SpeedDocument | None
     age_s: Annotated[Exact | None, Field(description="Of the oldest word this rests on")]
     stale: Annotated[bool, Field(description="As last known: its words are not fresh")]

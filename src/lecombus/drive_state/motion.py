@@ -133,7 +133,8 @@ class Motion:
         doing: What it does with its motor.
         stops: What stops it; where `doing` is unknown, what stopped it as last known.
         speed: Its output frequency; None where its family has none with a unit, or none was read.
-        zero: Whether it reports its speed as 0; None where that is not known.
+        zero: Whether its output frequency is 0 (93XX: its speed); None where that is not known. A
+            motor that coasts behind an inverter still turns then.
         setpoint: The speed wanted, as last read or written; None where none is known.
         age_s: Age of the oldest word it rests on, seconds; None where none is known.
         stale: It is reported as last known: the words are not fresh.
@@ -369,7 +370,7 @@ def _stops(states: dict[OperatingState, list[str]], fault: ActiveFault | None) -
 def _zero(
     family: Family, speed: Reading | None, states: dict[OperatingState, list[str]]
 ) -> bool | None:
-    """Return whether a drive reports its speed as 0, by its output or by its status word."""
+    """Return whether the output is 0, by the code that shows it or by the status word."""
     if speed is not None and speed.value is not None:
         return speed.value.number == 0
     rules = [rule for word in family.words.values() for rule in word.states]
