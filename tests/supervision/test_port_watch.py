@@ -82,6 +82,27 @@ def test_another_program_is_named_and_no_longer_when_it_is_gone(
     assert events(caplog) == ["port-shared", "line-silent", "line-heard"]
 
 
+def test_drives_have_time_to_be_heard_when_the_other_program_has_ended(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    caplog.set_level("INFO")
+    line = Line()
+    line.heard = True
+    line.second()
+    for _ in range(20):
+        line.silent = True
+        line.second(CAT, failed=3)
+    for _ in range(5):  # each drive is asked again, one after the other
+        line.second(failed=3)
+    line.silent = False
+    line.second()
+    assert events(caplog) == ["line-silent", "line-heard"], "the baud rate was right"
+    line.silent = True
+    for _ in range(12):
+        line.second(failed=3)
+    assert "check the baud rate" in line.remark
+
+
 def test_a_program_that_had_the_port_before_it_was_opened_is_the_first_thing_said() -> None:
     line = Line()
     line.second(CAT)

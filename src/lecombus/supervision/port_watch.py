@@ -51,6 +51,7 @@ class PortWatch:
         self._others: tuple[str, ...] = ()
         self._silent = False
         self._heard = False
+        self._have_ended = False  # the others, at the last look
         self._is_new = True  # opened since the last look
         self._logged = ""
         self._looked_at_s = -math.inf
@@ -75,6 +76,7 @@ class PortWatch:
         """
         if not is_open:
             self._failures, self._others, self._silent = failures, (), False
+            self._have_ended = False
             self._looked_at_s, self._pause_s = -math.inf, FIRST_PAUSE_S
             self._is_new = True
             self._store.note_line(SILENCE, None)  # why the line is not open says it all
@@ -96,7 +98,15 @@ class PortWatch:
         return True
 
     def found(self, others: Sequence[str]) -> None:
-        """Take what a look brought: the other programs that have the port open."""
+        """Take what a look brought: the other programs that have the port open.
+
+        When they have ended the drives get until the next look to be heard: baud rate and wires are
+        no likely cause then.
+        """
+        if self._others and not others and self._silent and not self._have_ended:
+            self._have_ended = True
+            return
+        self._have_ended = False
         self._others = tuple(others)
         self._pause_s = FIRST_PAUSE_S if others else min(2.0 * self._pause_s, LONGEST_PAUSE_S)
         self._show()
