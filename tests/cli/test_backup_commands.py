@@ -381,6 +381,30 @@ def test_diff_shows_what_differs_between_file_and_drive(
     assert [(one["one"], one["other"]) for one in document["differences"]] == [("0", "60.50")]
 
 
+def test_on_a_terminal_codes_are_named_as_at_the_keypad(
+    run: Run, daemon: DaemonStub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drive = Drive(daemon, "smvector")
+    drive.code("C1122", "9")
+    path = backed_up(run, tmp_path / "f.yaml")
+    drive.code("C1122", "1")
+    piped = run("diff", str(path), "feeder").out.split("\t")[:2]
+    assert piped == ["C1122", "P122 function of terminal TB-13B"]
+    words = ("restore", str(path), "feeder", "--dry-run")
+    rows = [line.split("\t") for line in run(*words).out.splitlines()]
+    assert rows[0][:3] == ["write", *piped]
+    assert ["skip", "C1410"] in [row[:2] for row in rows]
+    monkeypatch.setattr("lecombus.cli.document_rows.on_terminal", lambda: True)
+    shown = run("diff", str(path), "feeder").out.split("\t")[:2]
+    assert shown == ["P122", "function of terminal TB-13B"]
+    rows = [line.split("\t") for line in run(*words).out.splitlines()]
+    assert rows[0][:3] == ["write", *shown]
+    assert ["skip", "P410"] in [row[:2] for row in rows]
+    drive.stub.answers[f"GET {DRIVE}/codes/C1122{READ}"] = problem("no-answer", 504, "silent")
+    for command in (("backup", "feeder"), ("diff", str(path), "feeder"), words):
+        assert "could not be read, the first P122: " in run(*command).err
+
+
 def test_two_files_are_compared_without_a_daemon(
     run: Run, drive: Drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -169,6 +169,29 @@ def test_wear_lists_what_was_written(run: Run, daemon: DaemonStub) -> None:
     assert run("wear", "feeder", "--json").out == document + "\n"
 
 
+def test_on_a_terminal_codes_are_named_as_at_the_keypad(
+    run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    row = {"code": "C1425", "name": "time-out", "writes": 4, "to_this_device": 2}
+    forgotten = {"code": "C1425", "write": False, "manual_s": 0.02, "measured_s": 0.25}
+    texts = {"C1502": "1"}
+    daemon.answers["GET /v1/drives/feeder"] = (
+        200, json.dumps({"drive": "feeder", "family": "smvector", "state": "online"})
+    )  # fmt: skip
+    daemon.answers["GET /v1/drives/feeder/wear"] = (200, json.dumps({"codes": [row]}))
+    daemon.answers["POST /v1/drives/feeder/forget-times"] = (
+        200, json.dumps({"forgotten": [forgotten]})
+    )  # fmt: skip
+    daemon.answers["GET /v1/drives/feeder/identity"] = (200, identity(texts, texts, "x"))
+    words = ("wear", "forget-times", "accept")
+    assert [run(word, "feeder").out[:5] for word in words] == ["C1425", "C1425", "C1502"]
+    monkeypatch.setattr(drive_commands, "on_terminal", lambda: True)
+    monkeypatch.setattr("lecombus.cli.document_rows.on_terminal", lambda: True)
+    assert [run(word, "feeder").out[:4] for word in words] == ["P425", "P425", "P502"]
+    daemon.answers["GET /v1/drives/feeder"] = (404, "{}")
+    assert run("wear", "feeder").out.startswith("C1425\t")
+
+
 def test_forget_times_shows_what_is_forgotten(run: Run, daemon: DaemonStub) -> None:
     row = {"code": "C0150", "write": False, "manual_s": 0.02, "measured_s": 0.25}
     document = json.dumps({"drive": "feeder", "forgotten": [row]})

@@ -556,8 +556,25 @@ def test_on_a_terminal_a_code_of_an_smvector_is_named_as_at_its_keypad(
     daemon.answers["GET /v1/drives/fan"] = (200, document)
     daemon.answers["GET /v1/drives/fan/codes/C1411?fresh=true"] = (200, reading)
     assert run("status", "fan").out.startswith("C1411\t")
+    document = document[:-1] + ', "identity": {"C1502": "1"}}'
+    daemon.answers["GET /v1/drives/fan"] = (200, document)
     monkeypatch.setattr(status, "on_terminal", lambda: True)
     monkeypatch.setattr("lecombus.cli.document_rows.on_terminal", lambda: True)
-    assert "P411" in run("status", "fan").out
+    shown = run("status", "fan").out
+    assert "P411" in shown
+    assert "it says of itself: P502 1" in shown
     assert " P411 (" in run("read", "fan", "p411").out
     assert " C1411 (" in run("read", "fan", "C1411").out
+
+
+@pytest.mark.parametrize("words", [["write", "fan"], ["group", "fans"]])
+def test_a_write_names_the_code_as_its_user_does(
+    run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch, words: list[str]
+) -> None:
+    written = WRITTEN.replace("C0046", "C1425")
+    daemon.answers["PUT /v1/drives/fan/codes/C1425"] = (200, written)
+    daemon.answers["PUT /v1/groups/fans/codes/C1425"] = (200, f'{{"members": [{written}]}}')
+    assert run(*words, "P425", "3000").out.split("\t")[1] == "C1425"
+    monkeypatch.setattr("lecombus.cli.document_rows.on_terminal", lambda: True)
+    assert run(*words, "p425", "3000").out.split("\t")[1] == "P425"
+    assert run(*words, "C1425", "3000").out.split("\t")[1] == "C1425"

@@ -233,6 +233,18 @@ def test_check_describes_a_right_roster(run: Run, roster: Path) -> None:
     assert document["groups"][0]["name"] == "all"
 
 
+def test_check_names_codes_on_a_terminal_as_the_keypad_does(
+    run: Run, roster: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    roster.write_text(ROSTER.replace("8200vector", "smvector"))
+    assert "C1500 1min" in run("check", "-c", str(roster)).out
+    monkeypatch.setattr("lecombus.cli.check.on_terminal", lambda: True)
+    monkeypatch.setattr("lecombus.cli.document_rows.on_terminal", lambda: True)
+    shown = run("check", "-c", str(roster)).out
+    assert "P500 1min" in shown
+    assert "C0150 " in shown
+
+
 @pytest.fixture
 def files(tmp_path: Path) -> Certificates:
     return make_certificates(tmp_path)

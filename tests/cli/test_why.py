@@ -58,6 +58,18 @@ def test_a_person_gets_sentences(
     golden(ran.out)
 
 
+def test_on_a_terminal_the_fault_memory_is_named_as_at_the_keypad(
+    run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    entry = {"code": "C1500", "number": 10, "keypad": "F.IL"}
+    document = {**DOCUMENT, "family": "smvector", "findings": [], "history": [entry]}
+    daemon.answers["GET /v1/drives/feeder/why?lang=en&fresh=true"] = (200, json.dumps(document))
+    assert "history\tC1500\t" in run("why", "feeder").out
+    monkeypatch.setattr(status, "on_terminal", lambda: True)
+    monkeypatch.setattr("lecombus.cli.document_rows.on_terminal", lambda: True)
+    assert "  P500  10 F.IL\n" in run("why", "feeder").out
+
+
 def test_an_empty_and_an_unread_memory_are_told_apart(
     run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch
 ) -> None:

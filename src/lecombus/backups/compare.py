@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from lecombus.drives import Family
 from lecombus.parameters import Code
 
 from .backup_file import Backup, BackupEntry, Section, is_own, meaning_of, section_of
@@ -23,6 +24,7 @@ class Difference:
 
     Args:
         code: The code.
+        family: The family whose description names it.
         name: Its name, with the keypad's where that differs from the code.
         unit: Its unit, where it has one.
         one: What the first has; None where it does not have the code.
@@ -32,6 +34,7 @@ class Difference:
     """
 
     code: Code
+    family: Family
     name: str
     unit: str | None
     one: BackupEntry | None
@@ -110,6 +113,7 @@ def difference(one: Backup, other: Backup, code: Code) -> Difference:
     name = "" if info is None else info.name
     return Difference(
         code,
+        family,
         " ".join(filter(None, (family.keypad_name(code), name))),
         None if info is None else info.unit,
         first,
@@ -134,5 +138,5 @@ def remarks(one: Backup, other: Backup) -> list[str]:
         if not first.value.means_same(second.value):
             info = one.family.info(code) or other.family.info(code)
             name = f" ({info.name})" if info is not None else ""
-            said.append(f"{code}{name} is {first.value} and {second.value}")
+            said.append(f"{one.family.spoken(code)}{name} is {first.value} and {second.value}")
     return said

@@ -237,10 +237,10 @@ def signs_of_another_drive(
         info, rule = family.info(code), restore_rule(family, code)
         name = f" ({info.name})" if info is not None else ""
         if answer is None or answer.value is None:
-            said.append(f"{code}{name} was {entry.value} and cannot be read now")
+            said.append(f"{family.spoken(code)}{name} was {entry.value} and cannot be read now")
         elif not answer.value.means_same(entry.value):
             why = f": {rule.because}" if rule is not None else ""
-            said.append(f"{code}{name} was {entry.value} and is {answer.value}{why}")
+            said.append(f"{family.spoken(code)}{name} was {entry.value} and is {answer.value}{why}")
     return tuple(said)
 
 
@@ -253,8 +253,8 @@ def values_not_in_manual(family: Family, steps: list[RestoreStep]) -> tuple[str,
         if info is None or number is None or info.may_be(number):
             continue
         said.append(
-            f"{one.code} ({one.name}): {one.value} is not among what the manual allows, "
-            f"{info.allowed}; the drive may refuse it"
+            f"{family.spoken(one.code)} ({info.name}): {one.value} is not among what the "
+            f"manual allows, {info.allowed}; the drive may refuse it"
         )
     return tuple(said)
 

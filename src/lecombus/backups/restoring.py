@@ -225,7 +225,7 @@ class Work:
         await self._wait()
         said = await self._access.write(code, value, verify=False)
         if not said.done:
-            raise StopRestoreError(f"not saved by {code}: {said.text}")
+            raise StopRestoreError(f"not saved by {self._plan.family.spoken(code)}: {said.text}")
         self.result.saved = True
 
     async def _write_each(self, steps: Sequence[RestoreStep]) -> None:
@@ -237,7 +237,9 @@ class Work:
                 self._written(step.code, step.value)
             else:
                 self.result.refused[step.code] = said.text
-                self._listener.say(f"{step.code} ({step.name}) not taken: {said.text}")
+                spoken = self._plan.family.spoken(step.code)
+                name = step.name.removeprefix(f"{spoken} ")
+                self._listener.say(f"{spoken} ({name}) not taken: {said.text}")
             self._settled = len(self.result.written) + len(self.result.refused)
             self._listener.advance(self._settled, len(self._plan.steps))
 
@@ -262,7 +264,9 @@ class Work:
             if answer.value is not None and answer.value.means_same(step.value):
                 await self._check_inhibit()
                 return WriteAttempt(True)
-        raise StopRestoreError(f"{step.code} could not be written: {said.text}")
+        raise StopRestoreError(
+            f"{self._plan.family.spoken(step.code)} could not be written: {said.text}"
+        )
 
     async def _check_inhibit(self) -> None:
         """See that the drive is inhibited; after an absence, see to it.

@@ -32,11 +32,13 @@ __all__ = [
     "CODES",
     "DURATION",
     "EXPIRY",
+    "GIVEN_CODE",
     "NUMBER",
     "VALUE",
     "CommandWithNumbers",
     "DaemonOptions",
     "Given",
+    "GivenCode",
     "WholeNumber",
     "Word",
     "check_port_options",
@@ -159,6 +161,27 @@ def _code(word: str) -> Code:
         raise click.BadParameter(str(exc)) from exc
 
 
+@dataclass(frozen=True, slots=True)
+class GivenCode:
+    """A code, and what its user calls it.
+
+    Args:
+        code: The code.
+        spoken: Such as P411, where it was given as the keypad names it; empty: by its number.
+    """
+
+    code: Code
+    spoken: str
+
+    def __str__(self) -> str:
+        """Return it for people."""
+        return self.spoken or str(self.code)
+
+
+def _given_code(word: str) -> GivenCode:
+    return GivenCode(_code(word), word.upper() if word[:1] in ("p", "P") else "")
+
+
 def _codes(word: str) -> tuple[Code, ...]:
     first, dash, last = word.partition("-")
     begin = _code(first)
@@ -231,6 +254,7 @@ def _expiry(word: str) -> float:
 
 
 CODE = Word("code", _code)
+GIVEN_CODE = Word("code", _given_code)
 CODES = Word("codes", _codes)
 VALUE = Word("value", _value)
 NUMBER = Word("number", _number)

@@ -46,6 +46,7 @@ from lecombus.cli.drive_access import HttpDrive
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.screen import Bar, counted, progress
 from lecombus.cli.whole_file import write_whole
+from lecombus.drives import Family
 from lecombus.errors import ConfigError
 from lecombus.fieldbus.protocols import family_of_any_protocol
 from lecombus.parameters import Code, Json, Value
@@ -285,7 +286,7 @@ def back_up_one(daemon: DaemonOptions, drive: str, output: Path | None, wanted: 
     with progress(drive, quiet=daemon.as_json) as bar:
         backup, left = anyio.run(fetch, bar)
     if left and not wanted.partial:
-        raise incomplete(drive, left, output)
+        raise incomplete(drive, left, output, backup.family)
     text = write_backup(backup)
     if output is not None:
         write_whole(output, text, may_replace=True, mode=MODE)
@@ -338,15 +339,17 @@ async def read_drive(
     return Backup(head, kind, entries, name=found.drive), taken.unsettled
 
 
-def incomplete(drive: str, left: Sequence[ReadAttempt], output: Path | None) -> CommandError:
+def incomplete(
+    drive: str, left: Sequence[ReadAttempt], output: Path | None, kind: Family
+) -> CommandError:
     """Say why no backup was written."""
     first = left[0]
     codes = counted(len(left), "code")
     kept = f"; {output} is as it was" if output is not None and output.exists() else ""
     return CommandError(
         Exit.FAILED,
-        f"{codes} of {drive} could not be read, the first {first.code}: {first.text}; nothing "
-        f"was written{kept}",
+        f"{codes} of {drive} could not be read, the first {kind.spoken(first.code)}: {first.text}; "
+        f"nothing was written{kept}",
         "repeat it when the line works, or add --partial to write what was read",
         first.kind,
         drive,
@@ -422,7 +425,7 @@ async def back_up_into(
         problem = f"{name} was not backed up: {left[0].text}"
         raise CommandError(Exit.FAILED, problem, kind=left[0].kind, drive=name)
     if left and not wanted.partial:
-        raise incomplete(name, left, None)
+        raise incomplete(name, left, None, backup.family)
     path = folder / f"{name}.{backup.head.taken.replace(':', '')}.yaml"
     write_whole(path, write_backup(backup), may_replace=True, mode=MODE)
     bar.say(said_of(backup, path))

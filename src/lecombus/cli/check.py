@@ -14,6 +14,7 @@ from pathlib import Path
 import click
 
 from lecombus.cli.arguments import json_option, roster_option
+from lecombus.cli.document_rows import shown_code
 from lecombus.cli.exits import Exit
 from lecombus.cli.screen import on_terminal, show_rows
 from lecombus.client.finding import RUNTIME_DIR
@@ -178,7 +179,7 @@ def pipe_rows(description: Description, reach: Reach) -> list[tuple[str, ...]]:
 def _show(description: Description, reach: Reach) -> None:
     """Print the report on a terminal."""
     title = f"{description.line}; cyclic reads take {description.cyclic_load:.0%} of it"
-    show_rows(COLUMNS, map(_row, description.drives), title=title)
+    show_rows(COLUMNS, map(_shown_row, description.drives), title=title)
     click.echo()
     rows = []
     for group in description.groups:
@@ -196,6 +197,13 @@ def _row(drive: DescribedDrive) -> tuple[str, ...]:
         drive.name, str(drive.address), drive.family, drive.watchdog, drive.stop_fallback,
         drive.cyclic,
     )  # fmt: skip
+
+
+def _shown_row(drive: DescribedDrive) -> tuple[str, ...]:
+    """Return the cells for people: cyclic reads by the codes that the keypad shows."""
+    reads = (one.partition(" ") for one in drive.cyclic.split(", "))
+    cyclic = (f"{shown_code(drive.family, code)}{space}{every}" for code, space, every in reads)
+    return *_row(drive)[:-1], ", ".join(cyclic)
 
 
 def _ways(group: DescribedGroup, reach: Reach) -> tuple[str, str]:

@@ -11,12 +11,13 @@ from functools import partial
 import click
 
 from lecombus.cli.arguments import (
-    CODE,
     EXPIRY,
+    GIVEN_CODE,
     VALUE,
     CommandWithNumbers,
     DaemonOptions,
     Given,
+    GivenCode,
     check_port_options,
     daemon_options,
     whole_path,
@@ -28,7 +29,6 @@ from lecombus.client.documents import Answer
 from lecombus.client.requests import write_document
 from lecombus.fieldbus.lecom.protocol.addressing import is_drive_address
 from lecombus.fieldbus.lecom.protocol.controls import BAUDS as ALL_BAUDS
-from lecombus.parameters import Code
 
 __all__ = ["group_command", "read_command", "write_command"]
 
@@ -78,19 +78,18 @@ def read_command(
         why="the daemon reads DRIVE as its roster describes it",
     )  # fmt: skip
     if port is not None:
-        code = _only_code(words)
+        given = _only_code(words)
         from lecombus.api.decimal_json import encode
         from lecombus.cli.own_line import read_directly
 
-        reading = read_directly(port, int(baud), _drive_address(address), family, code)
+        reading = read_directly(port, int(baud), _drive_address(address), family, given.code)
         document = reading.as_json()
         answer = Answer(encode(document), document)
     else:
-        drive, code = _drive_and_code(words)
-        path = f"{drive_path(drive)}/codes/{code}"
+        drive, given = _drive_and_code(words)
+        path = f"{drive_path(drive)}/codes/{given.code}"
         answer = ask(daemon, path) if stored else ask(daemon, path, fresh="true")
-    spoken = words[-1].upper() if words[-1][:1] in ("p", "P") else ""  # as its keypad names it
-    show(answer, partial(show_reading, spoken=spoken), as_json=daemon.as_json)
+    show(answer, partial(show_reading, spoken=given.spoken), as_json=daemon.as_json)
     return Exit.FAILED if answer.data.get("quality") == "bad" else Exit.DONE
 
 
@@ -105,30 +104,30 @@ def _drive_address(address: int | None) -> int:
     return address
 
 
-def _only_code(words: Sequence[str]) -> Code:
+def _only_code(words: Sequence[str]) -> GivenCode:
     if len(words) != 1:
         raise CommandError(
             Exit.USAGE, "with --port only a code is named", "write read --port .. CODE"
         )
-    return CODE.convert(words[0], None, None)
+    return GIVEN_CODE.convert(words[0], None, None)
 
 
-def _drive_and_code(words: Sequence[str]) -> tuple[str, Code]:
+def _drive_and_code(words: Sequence[str]) -> tuple[str, GivenCode]:
     if len(words) != 2:
         raise CommandError(Exit.USAGE, "a drive and a code are needed", "write read DRIVE CODE")
-    return words[0], CODE.convert(words[1], None, None)
+    return words[0], GIVEN_CODE.convert(words[1], None, None)
 
 
 @click.command("write", cls=CommandWithNumbers)
 @click.argument("drive")
-@click.argument("code", type=CODE)
+@click.argument("code", type=GIVEN_CODE)
 @click.argument("value", type=VALUE)
 @click.option("--verify", is_flag=True, help="Read it back afterwards.")
 @click.option("--expires", type=EXPIRY, help="Not sent any more after this time, such as 2s.")
 @daemon_options
 def write_command(
     drive: str,
-    code: Code,
+    code: GivenCode,
     value: Given,
     verify: bool,
     expires: float | None,
@@ -143,10 +142,10 @@ def write_command(
     (1: it may have happened). In a pipe: drive, code, outcome, value read back, reason. With
     --json: the daemon's document, {"drive", "code", "outcome", "reason", "cause", "reading"}.
     """
-    path = f"{drive_path(drive)}/codes/{code}"
+    path = f"{drive_path(drive)}/codes/{code.code}"
     unsure = f"{code} of {drive} may have been written; `lecombus read {drive} {code}` shows it"
     answer = act(daemon, "PUT", path, write_document(value, verify, expires), unsure=unsure)
-    show(answer, show_outcomes, as_json=daemon.as_json)
+    show(answer, partial(show_outcomes, spoken=code.spoken), as_json=daemon.as_json)
     return status_of(answer.data)
 
 
@@ -158,7 +157,7 @@ def was_only_sent(report: Document) -> bool:
 
 @click.command("group", cls=CommandWithNumbers)
 @click.argument("group")
-@click.argument("code", type=CODE)
+@click.argument("code", type=GIVEN_CODE)
 @click.argument("value", type=VALUE)
 @click.option(
     "--verify/--no-verify",
@@ -169,7 +168,7 @@ def was_only_sent(report: Document) -> bool:
 @daemon_options
 def group_command(
     group: str,
-    code: Code,
+    code: GivenCode,
     value: Given,
     verify: bool | None,
     expires: float | None,
@@ -185,10 +184,10 @@ def group_command(
     with drive, code, outcome, value read back, reason. With --json: the daemon's document,
     {"how", "outcome", "members": [as write]}.
     """
-    path = f"{group_path(group)}/codes/{code}"
+    path = f"{group_path(group)}/codes/{code.code}"
     unsure = f"{code} of some or all drives of {group} may have been written"
     answer = act(daemon, "PUT", path, write_document(value, verify, expires), unsure=unsure)
-    show(answer, show_outcomes, as_json=daemon.as_json)
+    show(answer, partial(show_outcomes, spoken=code.spoken), as_json=daemon.as_json)
     if verify is False and was_only_sent(answer.data) and not daemon.as_json:
         click.echo(SENT_ONLY, err=True)
     return status_of(answer.data)

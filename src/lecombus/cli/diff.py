@@ -13,6 +13,7 @@ from lecombus.backups import Backup, BackupEntry, Comparison, Difference, Listen
 from lecombus.cli.arguments import DaemonOptions, daemon_options, wait_option
 from lecombus.cli.backup import incomplete, load_backup, read_drive
 from lecombus.cli.daemon_access import connected
+from lecombus.cli.document_rows import shown_code_and_name
 from lecombus.cli.drive_access import HttpDrive
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.screen import progress, show_rows
@@ -80,7 +81,7 @@ async def gather(
             drive = HttpDrive(line, name)
             backup, left = await read_drive(drive, also, patience_s=patience_s, listener=listener)
             if left:
-                raise incomplete(name, left, None)
+                raise incomplete(name, left, None, backup.family)
             return backup
 
         return before or await read(first), after or await read(second)
@@ -107,7 +108,8 @@ def show(found: Comparison, one: str, other: str) -> None:
         click.echo(remark, err=True)
     rows = [
         (
-            str(each.code), each.name, shown(each.one, each.meaning_one),
+            *shown_code_and_name(each.family.name, each.code, each.name),
+            shown(each.one, each.meaning_one),
             shown(each.other, each.meaning_other), each.unit or "",
         )
         for each in found.differences

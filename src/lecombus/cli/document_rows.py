@@ -16,6 +16,7 @@ import click
 from lecombus.cli.exits import Exit
 from lecombus.cli.screen import age, on_terminal, show_rows, table_text
 from lecombus.drive_state.readings import NOT_CYCLIC
+from lecombus.errors import LecombusError
 
 __all__ = [
     "Document",
@@ -29,6 +30,8 @@ __all__ = [
     "show_outcomes",
     "show_reading",
     "show_verb",
+    "shown_code",
+    "shown_code_and_name",
     "shown_value",
     "status_of",
     "value_of",
@@ -76,6 +79,30 @@ def code_of(document: Document) -> str:
     code = table_text(document.get("code"))
     subcode = document.get("subcode")
     return f"{code}/{subcode}" if subcode and "/" not in code else code
+
+
+def shown_code(family_name: object, code: object) -> str:
+    """Return a code as the drive's keypad names it where people read it, by its number in a pipe.
+
+    Args:
+        family_name: The drive's family, as a document has it.
+        code: The code.
+    """
+    if not on_terminal():
+        return str(code)
+    from lecombus.drives import family
+    from lecombus.parameters import Code
+
+    try:
+        return family(str(family_name)).spoken(Code.parse(str(code)))
+    except LecombusError:  # of a daemon that knows more
+        return str(code)
+
+
+def shown_code_and_name(family_name: object, code: object, name: str) -> tuple[str, str]:
+    """Return a code as `shown_code` does, and its name without the keypad's where that is said."""
+    shown = shown_code(family_name, code)
+    return shown, name.removeprefix(f"{shown} ")
 
 
 def cells_of(document: Document, *keys: str) -> list[str]:
@@ -129,19 +156,20 @@ def show_reading(reading: Document, *, spoken: str = "") -> None:
         show_rows(("drive", "code", "value", "unit", "quality", "reason"), [cells])
 
 
-def show_outcomes(report: Document, *, said_once: Sequence[str] = ()) -> None:
+def show_outcomes(report: Document, *, said_once: Sequence[str] = (), spoken: str = "") -> None:
     """Print how a write, a group write or a stop ended, member by member.
 
     Args:
         report: The report of the group, or of one write.
         said_once: What is not said of each member but below, once for all it is the same for.
+        spoken: What its user calls the code, such as P411, for people; empty: its number.
     """
     members = members_of(report)
     how = {"multicast": "one multicast", "one-by-one": "one write after another"}
     # One drive gets one telegram: how it would be sent to several says nothing.
     sent = how.get(str(report.get("how")), "") if len(members) > 1 else ""
     title = f"as {sent}: {report.get('outcome')}" if sent else ""
-    _show_outcomes(members, title=title, without=said_once)
+    _show_outcomes(members, title=title, without=said_once, spoken=spoken)
     for key in said_once:
         drives: dict[str, list[str]] = {}
         for one in members:
@@ -161,20 +189,21 @@ def show_verb(report: Document) -> None:
 
 
 def _show_outcomes(
-    reports: Sequence[Document], title: str = "", *, without: Sequence[str] = ()
+    reports: Sequence[Document], title: str, *, without: Sequence[str], spoken: str
 ) -> None:
-    rows = outcome_rows(reports, without=without)
+    rows = outcome_rows(reports, without=without, spoken=spoken)
     show_rows(("drive", "code", "outcome", "reads", "why"), rows, title=title)
 
 
 def outcome_rows(
-    reports: Sequence[Document], *, without: Sequence[str] = ()
+    reports: Sequence[Document], *, without: Sequence[str] = (), spoken: str = ""
 ) -> list[tuple[str, ...]]:
     """Return reports as rows: drive, code, outcome, value read back, reason.
 
     Args:
         reports: One a drive.
         without: Keys that are said otherwise.
+        spoken: What its user calls the code, such as P411, for people; empty: its number.
     """
     rows: list[tuple[str, ...]] = []
     said: dict[str, str] = {}
@@ -184,7 +213,8 @@ def outcome_rows(
         if why and not is_done(report) and on_terminal():
             first = said.setdefault(_in_general(why, drive), drive)
             why = why if first == drive else f"like {first}"
-        rows.append((drive, code_of(report), outcome, _reads(report), why))
+        code = spoken if spoken and on_terminal() else code_of(report)
+        rows.append((drive, code, outcome, _reads(report), why))
     return rows
 
 

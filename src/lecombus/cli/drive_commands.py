@@ -8,7 +8,13 @@ import click
 
 from lecombus.cli.arguments import CODE, DaemonOptions, WholeNumber, Word, daemon_options
 from lecombus.cli.daemon_access import act, ask, drive_path, refuse_problem, show
-from lecombus.cli.document_rows import Document, cells_of, show_outcomes, status_of
+from lecombus.cli.document_rows import (
+    Document,
+    cells_of,
+    show_outcomes,
+    shown_code,
+    status_of,
+)
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.screen import age, on_terminal, show_rows, table_text
 
@@ -44,8 +50,9 @@ def accept_command(
     found, accepted = dict(known.get("found") or {}), dict(known.get("accepted") or {})
     differing = {code: text for code, text in found.items() if accepted.get(code) != text}
     if not seen and not daemon.as_json:
+        kind = _family_of(daemon, drive)
         rows = [
-            (code, accepted.get(code, ""), found.get(code, ""))
+            (shown_code(kind, code), accepted.get(code, ""), found.get(code, ""))
             for code in dict.fromkeys((*accepted, *found))
         ]
         show_rows(("code", "was", "is"), rows, title=drive)
@@ -135,8 +142,9 @@ def _confirm_address(known: Document, address: int, *, may_ask: bool) -> None:
         raise CommandError(
             Exit.USAGE, f"the address of {drive} is changed only after a confirmation", "add --yes"
         )
-    labels = ", ".join(f"{code} {text}" for code, text in dict(known.get("identity") or {}).items())
-    click.echo(f"{drive} at address {old} ({known.get('family')}), which is {labels or 'unknown'}")
+    kind, identity = known.get("family"), dict(known.get("identity") or {})
+    labels = ", ".join(f"{shown_code(kind, code)} {text}" for code, text in identity.items())
+    click.echo(f"{drive} at address {old} ({kind}), which is {labels or 'unknown'}")
     states = known.get("states")
     if states is not None:
         named = ", ".join(state.replace("_", " ") for state in states)
@@ -158,18 +166,30 @@ def wear_command(drive: str, daemon: DaemonOptions) -> int:
     until it may be written again. With --json: the daemon's document.
     """
     answer = ask(daemon, f"{drive_path(drive)}/wear")
-    show(answer, partial(_show_wear, drive), as_json=daemon.as_json)
+    kind = _family_of(daemon, drive)
+    show(answer, partial(_show_wear, drive, kind), as_json=daemon.as_json)
     return Exit.DONE
 
 
-def _show_wear(drive: str, report: Document) -> None:
+def _family_of(daemon: DaemonOptions, drive: str) -> str:
+    """Ask for a drive's family where its codes are shown to people; empty elsewhere."""
+    if daemon.as_json or not on_terminal():
+        return ""
+    try:
+        return table_text(ask(daemon, drive_path(drive)).data.get("family"))
+    except CommandError:  # the codes are shown by their numbers then
+        return ""
+
+
+def _show_wear(drive: str, kind: str, report: Document) -> None:
     codes = report.get("codes") or []
     if not codes and on_terminal():
         click.echo(f"nothing that wears its memory was written to {drive} yet")
         return
     rows = [
         (
-            *cells_of(one, "code", "name", "writes", "to_this_device"),
+            shown_code(kind, table_text(one.get("code"))),
+            *cells_of(one, "name", "writes", "to_this_device"),
             age(one["wait_s"]) if one.get("wait_s") else "",
         )
         for one in codes
@@ -188,13 +208,14 @@ def forget_times_command(drive: str, daemon: DaemonOptions) -> int:
     the time measured, in seconds; if there is nothing, a message on standard error says so.
     With --json: the daemon's document.
     """
+    kind = _family_of(daemon, drive)
     answer = act(daemon, "POST", f"{drive_path(drive)}/forget-times", {})
     refuse_problem(answer)
-    show(answer, partial(_show_forgotten, drive), as_json=daemon.as_json)
+    show(answer, partial(_show_forgotten, drive, kind), as_json=daemon.as_json)
     return Exit.DONE
 
 
-def _show_forgotten(drive: str, report: Document) -> None:
+def _show_forgotten(drive: str, kind: str, report: Document) -> None:
     forgotten = report.get("forgotten") or []
     if not forgotten:
         text = f"nothing was measured of {drive} that is later than its manual says"
@@ -202,7 +223,7 @@ def _show_forgotten(drive: str, report: Document) -> None:
         return
     rows = [
         (
-            table_text(one.get("code")),
+            shown_code(kind, table_text(one.get("code"))),
             "write" if one.get("write") else "read",
             f"{float(one.get('manual_s') or 0.0):.3f}",
             f"{float(one.get('measured_s') or 0.0):.3f}",

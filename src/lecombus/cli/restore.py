@@ -30,6 +30,7 @@ from lecombus.backups.restore_plan import codes_to_read
 from lecombus.cli.arguments import DaemonOptions, daemon_options, wait_option
 from lecombus.cli.backup import Notes, digest_of, incomplete, read_text
 from lecombus.cli.daemon_access import connected
+from lecombus.cli.document_rows import shown_code, shown_code_and_name
 from lecombus.cli.drive_access import DriveOnLine, HttpDrive, RestorePermission
 from lecombus.cli.exits import CommandError, Exit, Problem
 from lecombus.cli.screen import counted, make_sure, on_terminal, progress, show_rows
@@ -165,7 +166,7 @@ async def look(options: RestoreOptions) -> Seen:
         with progress(f"reading {options.drive}", quiet=options.daemon.as_json) as bar:
             taken = await take(drive, codes, patience_s=options.patience_s, listener=bar)
         if taken.unsettled:
-            raise incomplete(options.drive, taken.unsettled, None)
+            raise incomplete(options.drive, taken.unsettled, None, kind)
         plan = make_plan(options.backup, kind, taken.answers, owned=rights.owned,
                          other_drive=options.other_drive)  # fmt: skip
         inhibited = await is_inhibited(drive, kind)
@@ -343,15 +344,17 @@ def show_plan(plan: RestorePlan, drive: str, *, enabled: bool | None, enable: bo
     """
     if on_terminal():
         click.echo(headline(plan, drive))
+    kind = plan.family.name
     rows = [
         (
-            "write", str(step.code), step.name, with_meaning(step.now, step.now_means),
+            "write", *shown_code_and_name(kind, step.code, step.name),
+            with_meaning(step.now, step.now_means),
             with_meaning(step.value, step.value_means), step.unit or "", step.because,
         )
         for step in plan.steps
     ]  # fmt: skip
     rows += [
-        ("skip", str(skip.code), skip.name, "", "", "", skip.why)
+        ("skip", shown_code(kind, skip.code), skip.name, "", "", "", skip.why)
         for skip in plan.skips
         if not skip.expected
     ]
@@ -365,7 +368,9 @@ def show_plan(plan: RestorePlan, drive: str, *, enabled: bool | None, enable: bo
             after = "and the inhibit is lifted at the end: the motor may turn"
         click.echo(f"{drive} is not inhibited: it will be inhibited, {after}", err=True)
     if plan.save is not None and plan.steps:
-        click.echo(f"at the end {plan.save[0]} = {plan.save[1]} saves it all", err=True)
+        click.echo(
+            f"at the end {plan.family.spoken(plan.save[0])} = {plan.save[1]} saves it all", err=True
+        )
 
 
 def headline(plan: RestorePlan, drive: str) -> str:
@@ -386,13 +391,15 @@ def with_meaning(value: Value, meaning: str) -> str:
 
 def show_result(plan: RestorePlan, result: Restored, drive: str, *, enabled: bool) -> None:
     """Print the result."""
+    kind = plan.family
     rows = [
-        (str(code), "refused", plan.wanted[code].raw, "", why)
+        (shown_code(kind.name, code), "refused", plan.wanted[code].raw, "", why)
         for code, why in result.refused.items()
     ]
     rows += [
         (
-            str(code), "changed", value.raw, answer.value.raw if answer.value else "",
+            shown_code(kind.name, code), "changed", value.raw,
+            answer.value.raw if answer.value else "",
             answer.text or "it was changed from elsewhere, or the drive did not keep it",
         )
         for code, (value, answer) in result.changed.items()
@@ -402,7 +409,7 @@ def show_result(plan: RestorePlan, result: Restored, drive: str, *, enabled: boo
     if result.stopped:
         click.echo(f"stopped: {result.stopped}", err=True)
         if result.written:
-            click.echo(f"written: {', '.join(map(str, result.written))}", err=True)
+            click.echo(f"written: {', '.join(map(kind.spoken, result.written))}", err=True)
     written = counted(len(result.written), "code")
     if result.complete:
         saved = " and saved" if result.saved else ""

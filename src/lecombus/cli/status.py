@@ -9,12 +9,18 @@ import click
 
 from lecombus.cli.arguments import DaemonOptions, daemon_options
 from lecombus.cli.daemon_access import ask, drive_path, show, work
-from lecombus.cli.document_rows import Document, cells_of, code_of, quality_of, shown_value
+from lecombus.cli.document_rows import (
+    Document,
+    cells_of,
+    code_of,
+    quality_of,
+    shown_code,
+    shown_value,
+)
 from lecombus.cli.exits import Exit
 from lecombus.cli.screen import Styled, age, on_terminal, show_rows, table_text
 from lecombus.client.documents import Answer
 from lecombus.client.line import Line
-from lecombus.errors import LecombusError
 
 __all__ = ["status_command", "why_command"]
 
@@ -113,13 +119,13 @@ def _show_drive(drive: Document) -> None:
         why = _why(drive)
         state = table_text(drive.get("state")) + (f", {why}" if why else "")
         click.echo(f"{name} at address {drive.get('address')} ({drive.get('family')}): {state}")
-        _show_identity(drive.get("identity") or {})
+        _show_identity(drive.get("identity") or {}, drive.get("family"))
         _show_motion(drive.get("motion") or {})
         _show_states(drive.get("states"))
         _show_fault(drive.get("fault") or {})
     rows = [
         (
-            _spoken(drive, code_of(value)),
+            shown_code(drive.get("family"), code_of(value)),
             table_text(value.get("name")),
             shown_value(value),
             table_text(value.get("unit")),
@@ -131,19 +137,6 @@ def _show_drive(drive: Document) -> None:
         for quality, reason in [quality_of(value)]
     ]
     show_rows(("code", "name", "value", "unit", "quality", "age", "why"), rows)
-
-
-def _spoken(drive: Document, code: str) -> str:
-    """Return a code as the drive's keypad names it, where people read it."""
-    if not on_terminal():
-        return code
-    from lecombus.drives import family
-    from lecombus.parameters import Code
-
-    try:
-        return family(str(drive.get("family"))).spoken(Code.parse(code))
-    except LecombusError:  # of a daemon that knows more
-        return code
 
 
 def _show_motion(motion: Document) -> None:
@@ -167,10 +160,12 @@ def _show_fault(fault: Document) -> None:
             click.echo(f"  {key}: {fault[key]}")
 
 
-def _show_identity(identity: Document) -> None:
+def _show_identity(identity: Document, family_name: object) -> None:
     """Print the identity that a drive reports."""
     if identity:
-        labels = ", ".join(f"{code} {table_text(text)}" for code, text in identity.items())
+        labels = ", ".join(
+            f"{shown_code(family_name, code)} {table_text(text)}" for code, text in identity.items()
+        )
         click.echo(f"  it says of itself: {labels}")
 
 
@@ -269,7 +264,8 @@ def _show_history(why: Document, words: Mapping[str, str]) -> None:
     for one in history:
         keypad = f" {one['keypad']}" if one.get("keypad") else ""
         meaning = f": {one['meaning']}" if one.get("meaning") else ""
-        click.echo(f"  {one.get('code')}  {one.get('number')}{keypad}{meaning}")
+        code = shown_code(why.get("family"), table_text(one.get("code")))
+        click.echo(f"  {code}  {one.get('number')}{keypad}{meaning}")
 
 
 def _list_why(why: Document) -> None:
