@@ -302,6 +302,9 @@ def test_a_stop_that_is_not_confirmed_says_so_before_everything_else(
     assert [row.split("\t")[2] for row in ran.out.splitlines()] == [
         "verified", "unknown", "unknown",
     ]  # fmt: skip
+    document = run(*words, "--json")
+    assert (document.status, document.err) == (1, first + "\n")
+    assert json.loads(document.out)["outcome"] == "unknown"
     assert "http" not in ran.out + ran.err
     assert "urn:lecombus" not in ran.out + ran.err
 

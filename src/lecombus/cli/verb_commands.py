@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from threading import Timer
 from typing import Final
 
@@ -73,7 +74,10 @@ def _send_stop(target: str, action: str, daemon: DaemonOptions) -> Exit:
             who = f"{target} has not" if target.strip() and target != "all" else "no drive has"
             alarm(f"{who} confirmed the {spoken(action)}: motors may still turn")
         raise
-    show(answer, lambda report: _show_stop(report, action), as_json=daemon.as_json)
+    doubtful = _not_confirmed(answer.data, action)
+    if doubtful:
+        alarm(doubtful)
+    show(answer, partial(show_outcomes, said_once=("remedy",)), as_json=daemon.as_json)
     return status_of(answer.data)
 
 
@@ -96,13 +100,6 @@ def _said_while_waiting(action: str, *, quiet: bool) -> Iterator[None]:
         timer.cancel()
 
 
-def _show_stop(report: Document, action: str) -> None:
-    doubtful = _not_confirmed(report, action)
-    if doubtful:
-        alarm(doubtful)
-    show_outcomes(report, said_once=("remedy",))
-
-
 def _not_confirmed(report: Document, action: str) -> str:
     """Say how many drives did not confirm a stop; nothing where all did."""
     members = members_of(report)
@@ -110,11 +107,8 @@ def _not_confirmed(report: Document, action: str) -> str:
     if not count:
         return ""
     motors = "its motor" if count == 1 else "their motors"
-    drives = "drive" if len(members) == 1 else "drives"
-    return (
-        f"{count} of {len(members)} {drives} did not confirm the {spoken(action)}: {motors} may "
-        "still turn"
-    )
+    who = "the drive" if len(members) == 1 else f"{count} of {len(members)} drives"
+    return f"{who} did not confirm the {spoken(action)}: {motors} may still turn"
 
 
 def alarm(text: str) -> None:
@@ -241,9 +235,9 @@ def stop_command(
 
     Exit status 0 only if every drive is known to have taken the stop. If not, the first line, on
     standard error, says how many drives did not confirm it, that motors may still turn, and to use
-    the emergency stop circuit. The same is said as soon as it has waited for 3 s. In a pipe: one
-    line a drive with drive, code, outcome, value read back, reason. With --json: the daemon's
-    document, as for group.
+    the emergency stop circuit, also with --json. The same is said as soon as it has waited for
+    3 s. In a pipe: one line a drive with drive, code, outcome, value read back, reason. With
+    --json: the daemon's document, as for group.
     """
     if target is not None and everything:
         raise CommandError(Exit.USAGE, "a target and --all are both given", "leave one of them out")
