@@ -367,6 +367,24 @@ def test_a_stop_of_one_drive_that_reached_no_drive_names_it(run: Run, daemon: Da
         assert rest == ["what happened; what to do"]
 
 
+@pytest.mark.parametrize(
+    "words", [["stop"], ["quick-stop"], ["inhibit"], ["stop", "--action", "inhibit"]]
+)
+def test_a_stop_of_a_drive_that_is_not_there_says_first_that_nothing_was_sent(
+    run: Run, daemon: DaemonStub, words: list[str], golden: Golden
+) -> None:
+    said = {
+        "type": "urn:lecombus:problem:no-such-drive", "detail": "there is no drive 'fedeer'",
+        "remedy": "did you mean feeder?",
+    }  # fmt: skip
+    daemon.answers["POST /v1/stop"] = (404, json.dumps(said))
+    ran = run(*words, "fedeer")
+    assert (ran.status, ran.out) == (2, "")
+    golden(ran.err)
+    assert "confirmed" not in ran.err
+    assert json.loads(run(*words, "fedeer", "--json").err)["kind"] == "no-such-drive"
+
+
 @pytest.mark.parametrize("status", [404, 503])
 def test_a_stop_that_reached_no_drive_says_so_first(
     run: Run, daemon: DaemonStub, status: int, golden: Golden

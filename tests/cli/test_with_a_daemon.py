@@ -130,7 +130,9 @@ def test_what_the_daemon_refuses_has_the_status_that_fits(run: Run) -> None:
     assert run("write", "feeder", "C0011", "50").status == 4
     assert run("write", "feeder", "C0046", "H00").status == 2
     assert run("group", "nobody", "C0040", "0").status == 2
-    assert run("stop", "nobody").status == 2
+    ran = run("stop", "fedeer")
+    assert (ran.status, "feeder" in ran.err.splitlines()[1]) == (2, True)
+    assert ran.err.startswith("there is no drive and no group fedeer, no quick stop was sent: ")
 
 
 def test_a_second_daemon_names_the_first_and_never_opens_the_port(daemon_of_all: Path) -> None:

@@ -69,16 +69,26 @@ def _send_stop(target: str, action: str, daemon: DaemonOptions) -> Exit:
             )
         with _said_while_waiting(action, quiet=daemon.as_json):
             answer = act(daemon, "POST", "/v1/stop", {"action": action, "target": target})
-    except (CommandError, KeyboardInterrupt):
+    except (CommandError, KeyboardInterrupt) as exc:
         if not daemon.as_json:
-            who = f"{target} has not" if target.strip() and target != "all" else "no drive has"
-            alarm(f"{who} confirmed the {spoken(action)}: motors may still turn")
+            alarm(_not_answered(target, action, exc))
         raise
     doubtful = _not_confirmed(answer.data, action)
     if doubtful:
         alarm(doubtful)
     show(answer, partial(show_outcomes, said_once=("remedy",)), as_json=daemon.as_json)
     return status_of(answer.data)
+
+
+def _not_answered(target: str, action: str, error: BaseException) -> str:
+    """Say what is known of a stop that was not answered with an outcome."""
+    if isinstance(error, CommandError) and error.problems[0].kind == "no-such-drive":
+        return (
+            f"there is no drive and no group {target}, no {spoken(action)} was sent: motors may "
+            "still turn"
+        )
+    who = f"{target} has not" if target.strip() and target != "all" else "no drive has"
+    return f"{who} confirmed the {spoken(action)}: motors may still turn"
 
 
 @contextmanager
