@@ -759,6 +759,21 @@ def test_another_drive_needs_its_own_word(run: Run, drive: Drive, tmp_path: Path
     assert (ran.status, "C1810" in ran.err) == (0, True)
 
 
+@pytest.mark.parametrize("other", [False, True])
+def test_a_wrong_value_is_to_be_corrected_also_for_another_drive(
+    run: Run, drive: Drive, tmp_path: Path, other: bool
+) -> None:
+    path = to_restore(run, drive, tmp_path)
+    path.write_text(re.sub("C0135: [^ ]+", "C0135: 0208", path.read_text()))
+    if other:
+        drive.code("C1810", "Sanother")
+    for words in ((), ("--to-other-drive",)):
+        ran = run("restore", str(path), "feeder", "--dry-run", *words)
+        (wrong,) = [line for line in ran.err.splitlines() if "C0135: 0208" in line]
+        assert (ran.status, wrong.endswith("; correct the file")) == (2, True)
+        assert "--to-other-drive" not in ran.err
+
+
 def test_another_family_is_refused_whatever_is_said(run: Run, drive: Drive, tmp_path: Path) -> None:
     path = to_restore(run, drive, tmp_path)
     drive.kind = family("821x")

@@ -81,6 +81,7 @@ class RestorePlan:
         same: What reads the wanted value already.
         skips: What is left out.
         blockers: Why it must not be done at all; empty when it may.
+        mistakes: Those of the blockers that are values of the file which cannot be.
         remarks: What should be known before.
         save: What is written at the end to keep it all; None where each write keeps.
     """
@@ -92,6 +93,7 @@ class RestorePlan:
     blockers: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     save: tuple[Code, Value] | None = None
+    mistakes: tuple[str, ...] = ()
 
     @property
     def wanted(self) -> dict[Code, Value]:
@@ -159,8 +161,9 @@ def make_plan(
     blockers = (*wrong_values, *(() if other_drive else strange))
     remarks = (*values_not_in_manual(family, steps), *(strange if other_drive else ()))
     return RestorePlan(
-        family, tuple(steps), same, tuple(skips), tuple(blockers), tuple(remarks), saving(family)
-    )
+        family, tuple(steps), same, tuple(skips), tuple(blockers), tuple(remarks), saving(family),
+        tuple(wrong_values),
+    )  # fmt: skip
 
 
 def why_skipped(

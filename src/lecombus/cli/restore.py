@@ -179,10 +179,17 @@ def check(options: RestoreOptions, seen: Seen) -> None:
     Raises:
         CommandError: The plan says that it is wrong, or the roster does not permit it.
     """
-    if seen.plan.blockers:
-        strange = options.backup.family is seen.plan.family and not options.other_drive
-        remedy = "add --to-other-drive if the backup is meant for this drive" if strange else ""
-        problems = [Problem(text, remedy, drive=options.drive) for text in seen.plan.blockers]
+    plan = seen.plan
+    if plan.blockers:
+        other = "add --to-other-drive if the backup is meant for this drive"
+        if plan.mistakes or options.backup.family is not plan.family:
+            other = ""  # it would be refused all the same
+        problems = [
+            Problem(
+                text, "correct the file" if text in plan.mistakes else other, drive=options.drive
+            )
+            for text in plan.blockers
+        ]
         raise CommandError.of(Exit.USAGE, *problems)
     if seen.rights.reason:
         raise CommandError(
