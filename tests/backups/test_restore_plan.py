@@ -99,6 +99,8 @@ def test_digits_for_a_word_that_is_never_restored_block_the_restore_too() -> Non
     for backup in (backup_of(DRIVE, {"C0150": "0208"}), backup_of("820x", {"C0135": "0208"})):
         made = make_plan(backup, backup.family, {})
         assert "0208 could be H0208 (520) or decimal 208 (H00D0)" in "".join(made.blockers)
+    made = make_plan(backup_of("820x", {"C0135": "8"}), family("820x"), {})
+    assert "8 does not say that it is hexadecimal; write H0008" in "".join(made.blockers)
     made = make_plan(backup_of("820x", {"C0135": "H0208"}), family("820x"), {})
     assert (made.blockers, [str(skip.code) for skip in made.skips]) == ((), ["C0135"])
 

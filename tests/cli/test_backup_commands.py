@@ -29,7 +29,7 @@ from lecombus.cli.backup import Notes, digest_of
 from lecombus.cli.drive_access import HttpDrive
 from lecombus.cli.restore import result_json, show_plan, show_result
 from lecombus.drives import family
-from lecombus.parameters import Code, Value
+from lecombus.parameters import Code, Format, Value
 from support.golden import Golden
 
 pytestmark = pytest.mark.clock
@@ -54,7 +54,8 @@ class Drive:
         self.state("online")
         self.rights()
         for info in self.kind.described():
-            self.code(str(info.code), "H0080" if info.code == Code(150) else "0")
+            zero = f"H{0:0{info.hex_digits}X}" if info.format is Format.VH else "0"
+            self.code(str(info.code), "H0080" if info.code == Code(150) else zero)
 
     def set_line(self, state: str) -> None:
         document = {"line": "hall-3", "state": state, "reason": "unplugged"}

@@ -190,8 +190,6 @@ def digits_for_a_word(family: Family, entry: BackupEntry) -> Iterator[str]:
     info, value = family.info(entry.code), entry.value
     if info is None or value is None or info.format is not Format.VH or value.format is Format.VH:
         return
-    if value.raw in set("0123456789"):
-        return  # one digit is the same number in both
     try:
         encode_for(family, entry.code, value.raw)
     except CodeValueError as exc:
