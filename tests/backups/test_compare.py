@@ -40,6 +40,11 @@ def test_another_identity_is_told_all_the_same(golden: Golden) -> None:
     golden(*found.remarks)
 
 
+def test_a_remark_names_a_code_as_at_the_keypad() -> None:
+    found = compare(backup_of("smvector", {"P502": "1"}), backup_of("smvector", {"P502": "2"}))
+    assert found.remarks == ("P502 (drive ID) is 1 and 2",)
+
+
 def test_a_difference_says_what_both_values_mean() -> None:
     found = compare(backup_of(DRIVE, BASE), backup_of(DRIVE, {**BASE, "C2001": "0", "C0001": "0"}))
     (first, second) = found.differences

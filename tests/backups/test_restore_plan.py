@@ -64,6 +64,14 @@ def test_another_drive_must_be_asked_for(golden: Golden) -> None:
     golden(*plan(unread).blockers)
 
 
+def test_blockers_and_remarks_name_codes_as_at_the_keypad() -> None:
+    backup = backup_of("smvector", {"P502": "1", "P425": "65001"})
+    now = answers({"P502": "2", "P425": "50"})
+    made = make_plan(backup, family("smvector"), now)
+    assert [one.partition(" was")[0] for one in made.blockers] == ["P502 (drive ID)"]
+    assert made.remarks[0].startswith("P425 (network message time-out): 65001 is not among")
+
+
 def test_another_family_is_never_restored() -> None:
     made = make_plan(
         backup_of("820x", {"C0011": "50"}), family("821x"), answers({"C0011": "60"}),

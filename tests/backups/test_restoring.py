@@ -188,3 +188,9 @@ def test_an_smvector_keeps_its_door_open_to_the_end() -> None:
     one = drive({1103: "50", 1420: "3"}, kind="smvector")
     assert restored(one, {"P420": "0", "P103": "60"}).complete
     assert one.writes == [("C1103", "60"), ("C1420", "0")]
+
+
+def test_a_refused_code_is_named_as_at_the_keypad() -> None:
+    one, ear = drive({1122: "1"}, kind="smvector", refuses=lambda one, code, value: "NAK"), Ear()
+    restored(one, {"P122": "9"}, ear=ear)
+    assert "P122 (function of terminal TB-13B) not taken: NAK" in ear.said

@@ -797,6 +797,23 @@ def test_a_restore_says_of_the_inhibit_what_the_drive_shows_in_the_end(
     assert result_json(plan, result, "feeder")["inhibited"] is (inhibited is True)
 
 
+def test_what_a_restore_could_not_write_is_named_as_at_the_keypad(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, file = answers({"P122": "1"}), backup_of("smvector", {"P122": "9"})
+    plan = make_plan(file, family("smvector"), now)
+    result = Restored(
+        refused={Code(1122): "NAK"}, stopped="it is away", written={Code(1425): Value.parse("1")}
+    )
+    show_result(plan, result, "fan", enabled=False)
+    assert capsys.readouterr().out.startswith("C1122\trefused\t9")
+    monkeypatch.setattr("lecombus.cli.document_rows.on_terminal", lambda: True)
+    show_result(plan, result, "fan", enabled=False)
+    shown = capsys.readouterr()
+    assert shown.out.startswith("P122\trefused\t9")
+    assert "written: P425" in shown.err
+
+
 @pytest.mark.parametrize("enable", [False, True])
 def test_a_drive_that_is_not_inhibited_is_not_called_enabled(
     capsys: pytest.CaptureFixture[str], enable: bool
