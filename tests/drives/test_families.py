@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from lecombus.drives import FAMILY_NAMES, WriteClass, family
+from lecombus.drives import FAMILY_NAMES, PASSWORDS, WriteClass, family
 from lecombus.drives.family_files import load_family
 from lecombus.errors import ConfigError
 from lecombus.fieldbus.lecom.protocol.addressing import Form
@@ -185,3 +185,13 @@ def test_all_families_load_in_a_fraction_of_a_second() -> None:
     for name in FAMILY_NAMES:
         load_family(name)
     assert time.process_time() - started_s < 1.0
+
+
+def test_no_family_has_a_secret_code_that_is_not_known_without_its_family() -> None:
+    secret = {
+        info.code.number
+        for name in FAMILY_NAMES
+        for info in family(name).codes.values()
+        if info.secret
+    }
+    assert secret <= PASSWORDS

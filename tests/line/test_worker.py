@@ -445,6 +445,90 @@ def test_debug_logs_say_what_did_not_come_and_what_nobody_asked_for(
     assert said.index(unasked) < next(i for i, one in enumerate(said) if "drive=b" in one)
 
 
+@pytest.mark.parametrize(("kind", "number"), [("smvector", 1194), ("generic", 94)])
+@pytest.mark.parametrize("faults", ["", "echo"])
+def test_debug_logs_hide_the_password_of_a_drive(
+    caplog: pytest.LogCaptureFixture, kind: str, number: int, faults: str
+) -> None:
+    async def test(rig: Rig) -> None:
+        rig.line["a"].model.preset(number, "1234")
+        await rig.read("a", number).done.wait()
+        await rig.write("a", number, 4711).done.wait()
+        await rig.read("a", 150).done.wait()
+
+    said = debug_lines(caplog, test, drives=[("a", 1, kind)], faults=faults)
+    secret = [one for one in said if f"code=C{number:04d}" in one]
+    read, value, write, *answers = secret
+    assert "bytes=84 " in read, "a question holds no value"
+    assert 'bytes="***"' in value
+    assert write.endswith(' bytes="***" value="***"')
+    assert answers
+    for password in (1234, 4711):
+        assert not any(str(password) in one for one in said)
+        digits = bytes(map(ord, str(password)))
+        on_the_line = bytes(one | (one.bit_count() & 1) << 7 for one in digits).hex(" ")
+        assert not any(on_the_line in one for one in said)
+    assert any("code=C0150" in one and "***" not in one for one in said)
+
+
+def test_debug_logs_hide_a_password_in_a_multicast_whatever_the_family(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async def test(rig: Rig) -> None:
+        drives = tuple(rig.stations.values())
+        group = Station("all", 0, drives[0].family, drives[0].forms[:1])
+        value = Value.parse("4711")
+
+        async def send(number: int) -> None:
+            def make(settle: Callable[[Outcome, str], None]) -> Request:
+                return rig.maker.multicast(
+                    group, drives, Code(number), value, Priority.INTERACTIVE, settle=settle
+                )
+
+            await rig.submit(make).done.wait()
+
+        for number in (94, 1194, 46):
+            await send(number)
+
+    said = [one for one in debug_lines(caplog, test) if "kind=multicast" in one]
+    assert ["value=4711" in one for one in said] == [False, False, True]
+    assert [one.endswith('bytes="***" value="***"') for one in said] == [True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("text", "hidden"),
+    [
+        (b"\x02944711\x03q", True),
+        (b"\x02!005E004711\x03x", True),
+        (b"\x02934711\x03v", False),
+        (b"944711", False),
+    ],
+)
+def test_debug_logs_hide_a_password_that_comes_unasked(
+    caplog: pytest.LogCaptureFixture, text: bytes, hidden: bool
+) -> None:
+    async def test(rig: Rig) -> None:
+        rig.end.say(text)
+        await rig.read("a", 150).done.wait()
+
+    (unasked,) = [one for one in debug_lines(caplog, test) if "kind=unasked" in one]
+    assert unasked.endswith('bytes="***"') is hidden
+
+
+def test_debug_logs_hide_a_late_answer_with_a_password(caplog: pytest.LogCaptureFixture) -> None:
+    async def test(rig: Rig) -> None:
+        rig.line["a"].model.preset(94, "4711")
+        rig.line.drive_faults[1] = Faults(late=1.0, late_s=(2.0, 2.0))
+        await rig.read("a", 94).done.wait()
+        await anyio.sleep(4.0)
+        await rig.read("b", 150).done.wait()
+
+    drives = [("a", 1, "generic"), ("b", 2, "8200vector")]
+    said = debug_lines(caplog, test, retries=0, drives=drives)
+    (unasked,) = [one for one in said if "kind=unasked" in one]
+    assert unasked.endswith(' bytes="***"')
+
+
 @pytest.mark.parametrize("level", ["DEBUG", "INFO"])
 def test_without_debug_nothing_is_collected(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, level: str

@@ -16,7 +16,7 @@ from __future__ import annotations
 from .code_info import CodeInfo, Storage, WriteClass
 from .control_words import ControlWordInfo
 from .encoding import check_allowed, encode_for
-from .family import Family, SoftwareGate, WatchdogTraits
+from .family import PASSWORDS, Family, SoftwareGate, WatchdogTraits
 from .family_files import FAMILY_NAMES, add_families, family, read_family_file
 from .faults.fault_tables import Fault, FaultKind
 from .field_types import Language, Text
@@ -43,6 +43,7 @@ from .words import OperatingState, WordInfo, believed_states, german_name, join_
 
 __all__ = [
     "FAMILY_NAMES",
+    "PASSWORDS",
     "CodeInfo",
     "ControlWordInfo",
     "Family",

@@ -127,7 +127,10 @@ class SoftwareGate:
 
 
 PASSWORDS: Final = frozenset((94, 1194))
-"""The user password of Lenze drives (C0094, P194), in families that do not describe it."""
+"""The user password of Lenze drives (C0094, P194), in families that do not describe it.
+
+No family has another code that is secret, so these are hidden where the family is not known.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
