@@ -187,6 +187,13 @@ def test_a_wrong_code(code: str, golden: Golden) -> None:
     golden(writable, cyclic)
 
 
+@pytest.mark.parametrize(("code", "family"), [("C0125", "8200vector"), ("P411", "smvector")])
+def test_a_baud_rate_that_may_be_written_is_answered_with_rebaud(code: str, family: str) -> None:
+    words = only(drive_with(f"also_writable: [{code}]", family=family))
+    assert "is its baud rate" in words
+    assert "`lecombus rebaud` a baud rate" in words
+
+
 @pytest.mark.parametrize(
     ("written", "place"),
     [

@@ -78,6 +78,7 @@ def test_control_without_c0001_3_is_told_by_what_the_drive_says(
     assert "C0001 is not 3" in report.cause
     assert "C0001 reads 0" in report.cause
     assert report.remedy.startswith("set C0001 to 3")
+    assert "add C0001 to `also_writable`" in report.remedy, "`writable` would replace the list"
     problem = report_problem(report)
     assert problem is not None
     assert (problem.cause, problem.remedy) == (report.cause, report.remedy)

@@ -681,11 +681,11 @@ def test_an_enable_that_the_roster_takes_away_is_advised_with_all_that_it_needs(
         with pytest.raises(OperationError) as refused:
             await operations.verb(drive, Verb.ENABLE)
         assert refused.value.kind == "not-writable"
-        assert f"`also_writable: [{lacking}]`" in refused.value.remedy
+        assert f"add {lacking} to `also_writable`" in refused.value.remedy
         sent = plant.sent_to(plant.line[drive].address, began_s)
         assert [one for one in sent if one.data[3] == STX] == []
         why = await operations.why(drive)
-        assert any(f"`also_writable: [{lacking}]`" in one.remedy.en for one in why.findings)
+        assert any(f"add {lacking} to `also_writable`" in one.remedy.en for one in why.findings)
 
     chosen = [one for one in FAMILIES if one[0] == drive]
     with_plant(test, roster_text(chosen, drive=f"writable: {writable}"))

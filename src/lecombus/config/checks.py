@@ -420,5 +420,8 @@ def _check_codes(drive: Fields, of: Family, mistakes: Mistakes) -> None:
         moved = find(of.protocol).moves_drive(of, item.value)
         if moved is not None:
             what = f"{of.spoken(item.value)} {moved} and is never written like other codes"
-            right = "remove it: `lecombus readdress` changes an address, with allow_address_change"
+            right = (
+                "remove it: `lecombus readdress` changes an address, with allow_address_change, "
+                "`lecombus rebaud` a baud rate"
+            )
             mistakes.note(item.node, what, right)

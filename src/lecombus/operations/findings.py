@@ -74,10 +74,10 @@ class StandstillFinding:
         """Advise that the roster must let codes be written before the verb can be used."""
         named, remedy = ", ".join(codes), self.remedy
         opened = Text(
-            f"{remedy.en}; the roster does not let it write {named}: first add `also_writable: "
-            f"[{named}]` to this drive and reload the roster",
-            f"{remedy.de}; das Roster lässt {named} nicht schreiben: vorher `also_writable: "
-            f"[{named}]` bei diesem Antrieb eintragen und das Roster neu laden",
+            f"{remedy.en}; the roster does not let it write {named}: first add {named} to "
+            "`also_writable` of this drive and reload the roster",
+            f"{remedy.de}; das Roster lässt {named} nicht schreiben: vorher {named} "
+            "bei diesem Antrieb in `also_writable` aufnehmen und das Roster neu laden",
         )
         return replace(self, remedy=opened)
 

@@ -242,7 +242,7 @@ class Permissions:
 def _remedy(codes: Sequence[Code], writable: Collection[Code], family: Family) -> str:
     named = ", ".join(map(family.spoken, codes))
     return (
-        f"write `also_writable: [{named}]` for this drive into the roster and reload it; now "
+        f"add {named} to `also_writable` of this drive in the roster and reload it; now "
         f"{listed(writable, family)}"
     )
 
