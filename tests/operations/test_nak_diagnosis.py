@@ -12,6 +12,8 @@ from lecombus.api.answers import problem_of, report_problem
 from lecombus.drive_state.readings import DriveState, Quality
 from lecombus.drives import StopAction
 from lecombus.errors import NakError, UnknownCodeError
+from lecombus.fieldbus.lecom.simulator.faults import Faults
+from lecombus.fieldbus.lecom.simulator.parameters import ExtendedError
 from lecombus.operations.operation_reports import WriteReport
 from lecombus.parameters import Code
 from lecombus.schedule import Outcome
@@ -189,6 +191,71 @@ def test_a_drive_that_is_silent_is_not_given_a_cause_of_its_own() -> None:
         plant.line.drive_faults[11] = plant.line.faults.__class__(lost=1.0)
         report = await plant.site.operations.write("vector", Code(46), 20)
         assert report.cause == ""
+
+    with_plant(test, roster("vector"))
+
+
+# -- what C1962 proves -------------------------------------------------------------------------
+
+
+def refusing_all(plant: Plant, name: str) -> None:
+    """Let a drive say NAK without a reason to writes; C1962 stays as it is."""
+    plant.line.drive_faults[plant.line[name].address] = Faults(nak=1.0)
+
+
+@pytest.mark.parametrize("answered", [True, False])
+def test_a_number_that_a_read_of_no_such_code_left_proves_nothing(answered: bool) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        operations = plant.site.operations
+        if answered:
+            await operations.read("vector", Code(46))
+        with pytest.raises(UnknownCodeError):
+            await operations.read("vector", Code(777))
+        refusing_all(plant, "vector")
+        report = await operations.write("vector", Code(46), 20)
+        assert (report.outcome, report.kind) == (Outcome.REFUSED, "nak")
+        assert ("no such code" in report.cause) is not answered
+        assert "C1962" not in report.cause
+        assert answered or report.cause.startswith("probably ")
+
+    with_plant(test, roster("vector"))
+
+
+@pytest.mark.parametrize("extended", [ExtendedError.VALUE_RANGE, ExtendedError.PARITY])
+def test_a_number_of_an_access_to_another_code_is_named_as_possible_only(
+    extended: ExtendedError,
+) -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        operations = plant.site.operations
+        refusing_all(plant, "vector")
+        plant.line["vector"].model.extended_fault = extended
+        first = await operations.write("vector", Code(37), 20)
+        assert f"(C1962 reads {int(extended)})" in first.cause
+        for _ in range(2):
+            await anyio.sleep(11.0)  # longer than a cause is remembered
+            second = await operations.write("vector", Code(12), 7)
+            assert second.cause.startswith("probably ")
+            assert "C1962" not in second.cause
+        plant.line["vector"].model.extended_fault = ExtendedError.OPERATING_STATE
+        await anyio.sleep(11.0)
+        third = await operations.write("vector", Code(12), 8)
+        assert "(C1962 reads 7)" in third.cause
+
+    with_plant(test, roster("vector"))
+
+
+def test_what_is_asked_does_not_depend_on_what_c1962_proves() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        operations = plant.site.operations
+        with pytest.raises(UnknownCodeError):
+            await operations.read("vector", Code(777))
+        refusing_all(plant, "vector")
+        started_s = plant.now_s
+        await operations.write("vector", Code(46), 20)
+        assert looks(plant, started_s) == 2, "C0068 and C1962"
 
     with_plant(test, roster("vector"))
 

@@ -10,7 +10,13 @@ A look is never allowed to hurt. It runs in the cyclic class (in the lowest it w
 a line that its cyclic reads fill), is given up after a second, is not made while a stop waits, nor
 twice at a time on one line, and all looks together take a tenth of the line at most; the same
 refusal within ten seconds is answered from memory. Without a look the causes are named by family
-and code alone. Source: EDB2102EN 7, 8.2, 8.3.6; CMVLC401A 10.2.
+and code alone.
+
+A NAK need not change C1962, so its number may be left from an earlier access. It proves nothing
+where it is the number that an access to another code is known to have left (seen at the last look,
+or "no such code" to a read), or where it says "no such code" of a code that the description knows.
+What is asked does not depend on that. "No such code" is no cause at all of a code that the drive
+has answered. Source: EDB2102EN 7, 8.2, 8.3.6; CMVLC401A 10.2.
 """
 
 from __future__ import annotations
@@ -64,6 +70,8 @@ REMEMBERED: Final = 64
 OPERATING_STATUS: Final = Code(68)
 EXTENDED_FAULT: Final = Code(1962)
 COMMUNICATION_ERROR: Final = "communication_error"
+NO_SUCH_CODE: Final = frozenset({4, 5})
+"""Numbers of C1962: no such subcode, no such code."""
 
 NAMED: Final = 2
 """So many causes are named where several are as likely."""
@@ -90,6 +98,8 @@ class NakDiagnosis:
         self._looking = False
         self._paid_at_s = 0.0
         self._remembered: dict[Key, tuple[float, list[Cause]]] = {}
+        self._left: dict[str, tuple[Code, frozenset[int]]] = {}
+        """By drive: which access is known to have left C1962 as it is, and what it may read."""
 
     async def explain(
         self, report: WriteReport, station: Station, value: Value, *, look: bool = True
@@ -134,6 +144,8 @@ class NakDiagnosis:
             happened = Happened.DENIED
         elif not isinstance(error, UnknownCodeError):
             return
+        if happened is Happened.UNKNOWN:
+            self._left[station.name] = (code, NO_SUCH_CODE)
         known = self._known(station, code, happened, None)
         causes = likely_causes(station.family.name, known)
         if causes:
@@ -146,7 +158,15 @@ class NakDiagnosis:
     ) -> FailedExchange:
         info = station.family.info(code)
         known = FailedExchange(happened, code, info, value, spoken=station.family.spoken)
-        return replace(known, values=self._fresh_values(station, known))
+        answered = self._answered(station, code)
+        return replace(known, values=self._fresh_values(station, known), answered=answered)
+
+    def _answered(self, station: Station, code: Code) -> bool:
+        try:
+            reading = self._store.reading(station.name, code)
+        except LecombusError:  # it has left the roster
+            return False
+        return reading is not None and reading.value is not None
 
     def _fresh_values(self, station: Station, known: FailedExchange) -> dict[Code, Value]:
         """Give the values that rules ask for, as far as they were read just now."""
@@ -195,7 +215,6 @@ class NakDiagnosis:
         self._looking = True
         started_s = self._clock()
         took_s = 0.0
-        causes = likely_causes(station.family.name, known)
         asked: list[Code] = []
         try:
             while (code := self._question(station, known, asked)) is not None:
@@ -208,11 +227,23 @@ class NakDiagnosis:
                 value = await self._read(station, code, within_s)
                 if value is not None:
                     known = self._learnt(station, known, code, value)
-                    causes = likely_causes(station.family.name, known)
         finally:
             self._looking = False
             self._paid_at_s = max(self._paid_at_s, started_s) + took_s / LINE_SHARE
-        return causes
+        return likely_causes(
+            station.family.name, replace(known, left_over=self._may_be_left(station, known))
+        )
+
+    def _may_be_left(self, station: Station, known: FailedExchange) -> bool:
+        """Return whether C1962 may be left from an earlier access; note what this one left."""
+        number = known.extended
+        if number is None:
+            return False
+        code, numbers = self._left.get(station.name, (known.code, frozenset[int]()))
+        if code != known.code and number in numbers:
+            return True
+        self._left[station.name] = (known.code, frozenset({number}))
+        return number in NO_SUCH_CODE and known.info is not None
 
     def _question(self, station: Station, known: FailedExchange, asked: list[Code]) -> Code | None:
         """What is asked next; None: nothing that would help.
@@ -224,7 +255,7 @@ class NakDiagnosis:
                 return OPERATING_STATUS
             if station.family.info(EXTENDED_FAULT) is not None and EXTENDED_FAULT not in asked:
                 return EXTENDED_FAULT
-        causes = likely_causes(station.family.name, known)
+        causes = likely_causes(station.family.name, replace(known, answered=False))
         if len(asked) >= QUESTIONS or (causes and causes[0].support is Support.PROVEN):
             return None
         for cause in causes or ():

@@ -69,6 +69,20 @@ def test_a_c1962_from_an_earlier_exchange_is_not_believed() -> None:
     assert names(refused(extended=8, communication=6)) == ["operating-mode"]
 
 
+def test_a_c1962_that_may_be_left_over_is_possible_and_rules_nothing_out() -> None:
+    (cause,) = likely_causes("8200vector", refused(extended=13, left_over=True, communication=5))
+    assert (cause.rule.name, cause.support) == ("value-reported", Support.SAID)
+    (cause,) = likely_causes("8200vector", refused(extended=13, left_over=True, communication=15))
+    assert (cause.rule.name, cause.support, cause.shown_by) == ("value-reported", Support.USUAL, "")
+    assert names(refused(extended=13, left_over=True)) == ["operating-mode"]
+
+
+def test_a_code_that_the_drive_has_answered_is_not_said_to_be_missing() -> None:
+    assert names(refused(extended=5, communication=4)) == ["no-such-code"]
+    assert names(refused(extended=5, communication=4, answered=True)) == []
+    assert names(refused(communication=4, answered=True)) == []
+
+
 def test_without_anything_said_the_usual_cause_is_named_and_called_no_more_than_that() -> None:
     (cause,) = likely_causes("8200vector", refused())
     assert (cause.rule.name, cause.support) == ("operating-mode", Support.USUAL)

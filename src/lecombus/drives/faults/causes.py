@@ -60,6 +60,7 @@ class When(StrEnum):
     OTHER_SET = "other-set"
     DESCRIBED = "described"
     UNDESCRIBED = "undescribed"
+    UNANSWERED = "unanswered"
 
 
 class Support(IntEnum):
@@ -148,6 +149,8 @@ class FailedExchange:
         values: Values of other codes that are fresh enough to conclude from.
         extended: What C1962 read; 0 or None where it said nothing.
         communication: What C0068 bits 4 to 7 read; 0 or None where they said nothing.
+        left_over: C1962 may be left from an earlier exchange: it is possible, and proves nothing.
+        answered: The drive has answered a read of the code before.
         spoken: Names a code for people, as the drive's keypad does.
     """
 
@@ -158,6 +161,8 @@ class FailedExchange:
     values: Mapping[Code, Value] = field(default_factory=dict)
     extended: int | None = None
     communication: int | None = None
+    left_over: bool = False
+    answered: bool = False
     spoken: Callable[[Code], str] = str
 
     @property
@@ -165,6 +170,8 @@ class FailedExchange:
         """What the description says of the exchange."""
         info, number = self.info, None if self.value is None else self.value.quantity
         facts = {When.SUBCODE} if self.code.subcode else set()
+        if not self.answered:
+            facts.add(When.UNANSWERED)
         if info is None:
             return frozenset(facts | {When.UNDESCRIBED})
         facts.add(When.DESCRIBED)
@@ -220,12 +227,15 @@ def supported(rule: CauseRule, known: FailedExchange, extended: int | None) -> C
             return Cause(rule, Support.PROVEN, f"{known.spoken(condition.code)} reads {value.raw}")
     elif rule.when & {When.READ_ONLY, When.OUT_OF_RANGE}:
         return Cause(rule, Support.DESCRIBED, "")
-    if extended in rule.extended:
+    numbered = extended in rule.extended
+    if numbered and not known.left_over:
         return Cause(rule, Support.NUMBERED, f"C1962 reads {extended}")
-    if extended is not None and rule.extended:
+    if extended is not None and rule.extended and not known.left_over:
         return None
     if known.communication and known.communication in rule.communication:
         return Cause(rule, Support.SAID, f"C0068 shows error {known.communication}")
+    if numbered:
+        return Cause(rule, Support.USUAL, "")
     if known.communication and rule.communication:
         return None
     return Cause(rule, Support.USUAL, "") if rule.likely else None
