@@ -195,6 +195,27 @@ def test_a_drive_that_is_silent_is_not_given_a_cause_of_its_own() -> None:
     with_plant(test, roster("vector"))
 
 
+@pytest.mark.parametrize(("name", "code"), [("fan", 1061), ("fan", 37), ("servo", 12)])
+def test_a_nak_without_a_reason_may_mean_that_the_telegrams_were_damaged(
+    name: str, code: int
+) -> None:
+    def refuse(plant: Plant) -> None:
+        if name == "fan":
+            plant.line[name].model.preset(1420, "3")
+        refusing_all(plant, name)
+
+    report = tried(name, code, 20, before=refuse)
+    assert (report.outcome, report.kind) == (Outcome.REFUSED, "nak")
+    assert report.cause.endswith("or the telegrams were damaged on the line")
+    assert "refused the write twice (NAK)" in report.reason
+    assert "attempt" not in report.reason
+
+
+def test_a_nak_with_a_reason_is_not_said_to_be_damage() -> None:
+    report = tried("fan", 37, 20, before=preset("fan", 1420, "0"))
+    assert "damaged" not in report.cause
+
+
 # -- what C1962 proves -------------------------------------------------------------------------
 
 

@@ -69,6 +69,8 @@ REMEMBERED: Final = 64
 
 OPERATING_STATUS: Final = Code(68)
 EXTENDED_FAULT: Final = Code(1962)
+DAMAGED: Final = "the telegrams were damaged on the line"
+"""What a NAK may mean too, where the drive does not say why (EDB2102EN 8.3.3; CMVLC401A 6.1)."""
 COMMUNICATION_ERROR: Final = "communication_error"
 NO_SUCH_CODE: Final = frozenset({4, 5})
 """Numbers of C1962: no such subcode, no such code."""
@@ -117,9 +119,13 @@ class NakDiagnosis:
             return report
         known = self._known(station, report.code, happened, value)
         causes = await self._causes(station, known, look=look)
+        refused = happened is Happened.REFUSED
         if not causes:
-            return report
+            cause = f"the drive does not take it now, or {DAMAGED}"
+            return replace(report, cause=cause) if refused else report
         cause, remedy = in_words(causes, known)
+        if refused and causes[0].support is Support.USUAL:
+            cause += f"; or {DAMAGED}"
         return replace(report, cause=cause, remedy=remedy)
 
     async def explain_all(

@@ -70,6 +70,7 @@ _BY_ANSWER: dict[type, tuple[type[ExchangeError], str]] = {
 }
 
 REFUSED_WRITE = "the drive refused the write (NAK): nothing was changed"
+REFUSED_TWICE = "the drive refused the write twice (NAK): nothing was changed"
 REFUSED_READ = "the drive refused the read (NAK)"
 
 _BY_KIND: dict[ResultKind, type[ExchangeError]] = {
@@ -80,7 +81,9 @@ _BY_KIND: dict[ResultKind, type[ExchangeError]] = {
 }
 
 
-def error_of(station: Station, step: JobStep, result: Result, attempt: int) -> ExchangeError:
+def error_of(
+    station: Station, step: JobStep, result: Result, attempt: int, *, refused_before: bool = False
+) -> ExchangeError:
     """Make the error for an exchange that did not give what was asked for.
 
     Valid but unwelcome answers (NAK, `?`, unknown code) are answers in the protocol room; from here
@@ -91,10 +94,12 @@ def error_of(station: Station, step: JobStep, result: Result, attempt: int) -> E
         step: What was sent.
         result: How it ended, anything but the wished-for answer.
         attempt: Which attempt it was, 1 upwards.
+        refused_before: The drive has refused this write before.
     """
     cls, text = _BY_ANSWER.get(type(result.answer), (UnexpectedReplyError, ""))
     if cls is NakError:
         text = REFUSED_READ if step.kind is StepKind.READ else REFUSED_WRITE
+    twice = refused_before and cls is NakError
     if result.answer is None:
         cls, text = _BY_KIND[result.kind], result.fault
     record = ExchangeRecord(
@@ -107,7 +112,8 @@ def error_of(station: Station, step: JobStep, result: Result, attempt: int) -> E
     )
     code = station.family.spoken(step.code)
     where = f"{station.name} (address {station.address}), {code}"
-    return cls(f"{where}: {text} (attempt {attempt})", record)
+    said = REFUSED_TWICE if twice else f"{text} (attempt {attempt})"
+    return cls(f"{where}: {said}", record)
 
 
 MOST_READINGS = 10
@@ -344,7 +350,9 @@ class WriteJob(WriteWork):
             self._acknowledged = True
             self.error = None
             return self._prove() if self.verify else (Outcome.DONE, self._doubt(result.started_s))
-        self.error = error_of(self.station, self.step, result, self.attempts)
+        self.error = error_of(
+            self.station, self.step, result, self.attempts, refused_before=self._refused
+        )
         if result.kind is ResultKind.ANSWERED:
             if self._repeats_after(answer):
                 return None
