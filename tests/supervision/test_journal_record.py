@@ -113,6 +113,8 @@ def test_a_stop_is_recorded_and_waits_for_nothing() -> None:
         assert [row[:3] for row in kept.rows] == [
             ("stop", "all", "asked"), ("stop", "all", "verified"),
         ]  # fmt: skip
+        await plant.site.operations.stop(StopAction.QUICK_STOP, "all")
+        assert [row[3].get("shows") for row in kept.rows[1::2]] == ["inhibited", "command_held"]
 
     with_record(test)
 

@@ -347,13 +347,14 @@ def clean(text: str, chars: int = TEXT_CHARS) -> str:
 def details(report: WriteReport | VerbReport | GroupReport) -> dict[str, str]:
     """Return what is logged of a report besides its outcome.
 
-    What a proof shows is said too: a verified quick stop whose command alone reads back does not
-    say that the motor stands.
+    What a stop or a verb proved is said too: a verified quick stop whose command alone reads back
+    does not say that the motor stands. That a written value reads back is what `verified` means.
     """
     found: dict[str, str] = {}
     members = report.members if isinstance(report, GroupReport) else (report,)
-    shown = {one.proof.shows for one in members if one.proof is not None}
-    found["shows"] = ",".join(clean(one) for one in sorted(filter(None, shown)))
+    shown = {one.proof.shows for one in members if one.proof is not None} - {"value"}
+    if shown:
+        found["shows"] = ",".join(clean(one) for one in sorted(shown))
     if isinstance(report, VerbReport) and report.written:
         found["written"] = ",".join(f"{code}:{raw}" for code, raw in report.written)
     if isinstance(report, GroupReport):
