@@ -36,7 +36,7 @@ logger = logging.getLogger("lecombus.line.telegram_log")
 MOST_UNSOLICITED: Final = 256
 """With this many unsolicited bytes they are logged immediately."""
 
-HIDDEN: Final = '"***"'
+HIDDEN: Final = "***"
 
 SECRET_STARTS: Final = (
     *(b"%c%b" % (STX, encode_code(Code(number), Form.STANDARD)) for number in PASSWORDS),
