@@ -460,8 +460,8 @@ def test_debug_logs_hide_the_password_of_a_drive(
     secret = [one for one in said if f"code=C{number:04d}" in one]
     read, value, write, *answers = secret
     assert "bytes=84 " in read, "a question holds no value"
-    assert 'bytes=***' in value
-    assert write.endswith(' bytes=*** value=***')
+    assert "bytes=***" in value
+    assert write.endswith(" bytes=*** value=***")
     assert answers
     for password in (1234, 4711):
         assert not any(str(password) in one for one in said)
@@ -492,7 +492,7 @@ def test_debug_logs_hide_a_password_in_a_multicast_whatever_the_family(
 
     said = [one for one in debug_lines(caplog, test) if "kind=multicast" in one]
     assert ["value=4711" in one for one in said] == [False, False, True]
-    assert [one.endswith('bytes=*** value=***') for one in said] == [True, True, False]
+    assert [one.endswith("bytes=*** value=***") for one in said] == [True, True, False]
 
 
 @pytest.mark.parametrize(
@@ -512,7 +512,7 @@ def test_debug_logs_hide_a_password_that_comes_unasked(
         await rig.read("a", 150).done.wait()
 
     (unasked,) = [one for one in debug_lines(caplog, test) if "kind=unasked" in one]
-    assert unasked.endswith('bytes=***') is hidden
+    assert unasked.endswith("bytes=***") is hidden
 
 
 def test_debug_logs_hide_a_late_answer_with_a_password(caplog: pytest.LogCaptureFixture) -> None:
@@ -526,7 +526,7 @@ def test_debug_logs_hide_a_late_answer_with_a_password(caplog: pytest.LogCapture
     drives = [("a", 1, "generic"), ("b", 2, "8200vector")]
     said = debug_lines(caplog, test, retries=0, drives=drives)
     (unasked,) = [one for one in said if "kind=unasked" in one]
-    assert unasked.endswith(' bytes=***')
+    assert unasked.endswith(" bytes=***")
 
 
 @pytest.mark.parametrize("level", ["DEBUG", "INFO"])
