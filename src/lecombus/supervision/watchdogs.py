@@ -132,6 +132,7 @@ class WatchdogAudit:
         action: int | None = None
         with self._remarking(drive):
             self._requests.see_that_it_fits(station, traits.action_code)
+            drive.audit.unfed = False  # it may be unfed again during the audit
             action = int(number(await self._read(station, traits.action_code)))
             if action == 0:
                 drive.audit.watchdog = OFF
@@ -251,7 +252,7 @@ class WatchdogAudit:
         remedy: str,
     ) -> None:
         """Feed by what the drive really has, and say where that differs from the roster."""
-        drive.audit.watchdog, drive.audit.anew, drive.audit.unfed = found, False, False
+        drive.audit.watchdog, drive.audit.anew = found, False
         text = None
         if not found.acts_like(target):
             text = (
