@@ -351,8 +351,9 @@ def faults_of(roster: Roster, timing: LineTiming) -> FaultHypothesis:
 
 
 def _obstacle(drive: DriveEntry, timing: LineTiming) -> DriveDelay:
+    of = family(drive.family)
     reads = tuple(
-        (f"{entry.code} of {drive.name}", read_times(drive, entry.code, timing).usual_s)
+        (f"{of.spoken(entry.code)} of {drive.name}", read_times(drive, entry.code, timing).usual_s)
         for entry in drive.cyclic
     )
     feed = dearest_feed_times(drive, timing)

@@ -54,13 +54,13 @@ class Longest:
 
     Args:
         drive: With whom; empty: there is none.
-        code: The code read or written.
+        code: The code read or written, as the drive's keypad names it.
         times: Its line time.
         value: What is written; None: it is a read.
     """
 
     drive: str
-    code: Code
+    code: str
     times: Times
     value: Value | None = None
 
@@ -75,7 +75,7 @@ class Longest:
         return self.times.worst_s if self.drive else math.inf
 
 
-NO_EXCHANGE: Final = Longest("", Code(0), Times(0.0, 0.0, 0.0))
+NO_EXCHANGE: Final = Longest("", "", Times(0.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,26 +283,29 @@ def _room(feeds: WatchdogSet) -> Room:
 
 
 def _own(drive: DriveEntry, timing: LineTiming) -> Iterator[Longest]:
-    feed = family(drive.family).feed_code
+    of = family(drive.family)
+    feed = of.feed_code
     codes = {entry.code for entry in drive.cyclic}
     if watched_s(drive) is not None:
         codes.add(feed)
     for code in codes or {feed}:
-        yield Longest(drive.name, code, read_times(drive, code, timing))
+        yield Longest(drive.name, of.spoken(code), read_times(drive, code, timing))
 
 
 def _fed(roster: Roster, timing: LineTiming) -> Iterator[Longest]:
     """Give the feeds: they are begun even where there is never enough time for them."""
     for drive in roster.drives:
         if watched_s(drive) is not None:
-            code = family(drive.family).feed_code
-            yield Longest(drive.name, code, dearest_feed_times(drive, timing))
+            of = family(drive.family)
+            yield Longest(drive.name, of.spoken(of.feed_code), dearest_feed_times(drive, timing))
 
 
 def _reads(drive: DriveEntry, timing: LineTiming) -> Iterator[Longest]:
-    for info in family(drive.family).described():
+    of = family(drive.family)
+    for info in of.described():
         if info.readable and _is_said(drive, info.code):
-            yield Longest(drive.name, info.code, read_times(drive, info.code, timing))
+            times = read_times(drive, info.code, timing)
+            yield Longest(drive.name, of.spoken(info.code), times)
 
 
 def _writes(drive: DriveEntry, timing: LineTiming) -> Iterator[Longest]:
@@ -311,10 +314,11 @@ def _writes(drive: DriveEntry, timing: LineTiming) -> Iterator[Longest]:
         if info.writable and _is_said(drive, info.code):
             value = _longest_value(info)
             times = write_times(drive, info.code, value, timing)
-            yield Longest(drive.name, info.code, times, value)
+            yield Longest(drive.name, of.spoken(info.code), times, value)
     for action in of.stops:
         code, value = stop_value(of, action, 0)
-        yield Longest(drive.name, code, write_times(drive, code, value, timing), value)
+        times = write_times(drive, code, value, timing)
+        yield Longest(drive.name, of.spoken(code), times, value)
 
 
 def _is_said(drive: DriveEntry, code: Code) -> bool:
@@ -356,7 +360,11 @@ def _cyclic(roster: Roster, timing: LineTiming) -> Iterator[Stream]:
     for drive in roster.drives:
         for entry in drive.cyclic:
             cost_s = _read_s(drive, entry.code, timing)
-            yield Stream(f"{entry.code} of {drive.name}", cost_s, entry.every_s)
+            yield Stream(_said(drive, entry.code), cost_s, entry.every_s)
+
+
+def _said(drive: DriveEntry, code: Code) -> str:
+    return f"{family(drive.family).spoken(code)} of {drive.name}"
 
 
 def _one_form(roster: Roster, timing: LineTiming) -> Iterable[tuple[Stream, ...]]:
@@ -365,7 +373,7 @@ def _one_form(roster: Roster, timing: LineTiming) -> Iterable[tuple[Stream, ...]
         for entry in drive.cyclic:
             if sum(form.carries(entry.code) for form in drive.forms) < 2:
                 cost_s = _read_s(drive, entry.code, timing)
-                one = Stream(f"{entry.code} of {drive.name}", cost_s, entry.every_s)
+                one = Stream(_said(drive, entry.code), cost_s, entry.every_s)
                 found.setdefault(entry.code, []).append(one)
     return (tuple(alike) for alike in found.values() if len(alike) > 1)
 

@@ -220,10 +220,11 @@ def _slow_codes(roster: Roster, timing: LineTiming) -> Iterator[str]:
         fed = "the others are" if len(feeds.by_drive) > 1 else "it is"
         least_s = _least_beside_s(feeds, times)
         longer = f"a watchdog time of at least {_up(least_s)} s, " if least_s is not None else ""
+        spoken = family(drive.family).spoken(code)
         yield (
             f"the {which} of {counted([drive for _, drive, _ in slow])} "
             f"({', '.join(drive.name for _, drive, _ in slow)}) can be neither checked nor set "
-            f"while {fed} fed: reading {code} {held} and {left}; {longer}a higher baud rate or "
+            f"while {fed} fed: reading {spoken} {held} and {left}; {longer}a higher baud rate or "
             "fewer drives on the line would do"
         )
 
@@ -351,8 +352,8 @@ def _faults_unseen(drive: DriveEntry) -> Iterator[tuple[str, str]]:
     if drive.cyclic and telling and not any(entry.code in telling for entry in drive.cyclic):
         yield (
             drive.name,
-            f"`cyclic` leaves out {' and '.join(map(str, telling))}, as it replaces the family's "
-            "reads: a trip is not noticed, no alert or message says it; add "
+            f"`cyclic` leaves out {' and '.join(map(of.spoken, telling))}, as it replaces the "
+            "family's reads: a trip is not noticed, no alert or message says it; add "
             f"{{code: {telling[0]}, every: 1s}}",
         )
 
@@ -363,12 +364,13 @@ def _writable(drive: DriveEntry) -> Iterator[tuple[str, str]]:
         info = of.info(code)
         if info is None:
             continue
+        named = f"{of.spoken(code)} ({info.name})"
         if not info.writable:
-            yield drive.name, f"{code} ({info.name}) is writable here, read only in its manual"
+            yield drive.name, f"{named} is writable here, read only in its manual"
         elif info.write_class is WriteClass.SAVE:
-            yield drive.name, f"each write of {code} ({info.name}) wears the drive's memory"
+            yield drive.name, f"each write of {named} wears the drive's memory"
         elif info.write_class is WriteClass.ADDRESS:
-            yield drive.name, f"{code} ({info.name}) is never written like other codes"
+            yield drive.name, f"{named} is never written like other codes"
 
 
 def _verbs(drive: DriveEntry) -> Iterator[tuple[str, str]]:

@@ -24,9 +24,8 @@ import anyio
 
 from lecombus.capacity.exchange_costs import watched_s
 from lecombus.drive_state.control_word import ControlWord, control_word_of
-from lecombus.drive_state.readings import DriveState, rfc3339
+from lecombus.drive_state.readings import DriveState
 from lecombus.errors import OperationError, meant
-from lecombus.parameters import Json
 
 if TYPE_CHECKING:
     from lecombus.config import DriveEntry
@@ -47,7 +46,6 @@ __all__ = [
     "FeedRecord",
     "HealthRecord",
     "IdentityRecord",
-    "LastEnable",
     "LastingRecord",
     "LineDrives",
     "RunningAudit",
@@ -245,51 +243,16 @@ class FeedRecord:
     lapses: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class LastEnable:
-    """The last enable of a drive, where it was refused or taken back.
-
-    Args:
-        at_s: When it ended, Unix seconds.
-        outcome: `refused` or `unknown`.
-        taken_back: The drive took it, did not show it, and was stopped again.
-        reason: What happened.
-        cause: Why, probably.
-        remedy: What to do.
-        by_drive: The drive refused or ignored it; else a setting kept it from being sent.
-    """
-
-    at_s: float
-    outcome: str
-    taken_back: bool
-    reason: str
-    cause: str
-    remedy: str
-    by_drive: bool
-
-    def as_json(self) -> dict[str, Json]:
-        """Return the JSON form."""
-        return {
-            "time": rfc3339(self.at_s),
-            "outcome": self.outcome,
-            "taken_back": self.taken_back,
-            "reason": self.reason or None,
-            "cause": self.cause or None,
-            "remedy": self.remedy or None,
-        }
-
-
 @dataclass(slots=True)
 class EnableRecord:
     """What became of the drive's last enable (`operations.why`).
 
     Args:
-        failed: The last enable, where it failed and none succeeded since.
-        stops_then: How often the drive was to stop by then.
+        stops_then: How often the drive was to stop when its last enable failed; None: that was not
+            since the daemon started.
         lapses_then: How often its watchdog had run out when it was last enabled.
     """
 
-    failed: LastEnable | None = None
     stops_then: int | None = None
     lapses_then: int = 0
 

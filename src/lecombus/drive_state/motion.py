@@ -325,7 +325,9 @@ def _states(family: Family, words: list[Reading]) -> dict[OperatingState, list[s
     for reading, shown in zip(words, believed_states(seen), strict=True):
         assert reading.value is not None
         for state in dict.fromkeys(shown):
-            found.setdefault(state, []).append(f"{reading.code} reads {reading.value.raw}")
+            found.setdefault(state, []).append(
+                f"{family.spoken(reading.code)} reads {reading.value.raw}"
+            )
     return found
 
 

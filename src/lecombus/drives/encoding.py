@@ -52,12 +52,12 @@ def encode_for(
             and a decimal, or a string (drives accept none). `code` and `value` are filled in.
     """
     if isinstance(given, bool) or not isinstance(given, (Decimal, int, str)):
-        raise _refused(code, given, "a number or a text such as 35.4 or H0008 is right")
+        raise _refused(family, code, given, "a number or a text such as 35.4 or H0008 is right")
     if isinstance(given, str):
         given = given.strip()
     info = family.info(code)
     if info is not None and info.format is Format.VS:
-        raise _refused(code, given, "drives send strings and accept none")
+        raise _refused(family, code, given, "drives send strings and accept none")
     digits = _word_digits(info, last_read)
     try:
         if digits:
@@ -68,12 +68,12 @@ def encode_for(
             value = _by_itself(given, rules_of(family.protocol).decimals)
     except CodeValueError as exc:
         raise CodeValueError(
-            f"{code}: {exc}", code=str(code), value=given, low=exc.low, high=exc.high
+            f"{family.spoken(code)}: {exc}", code=str(code), value=given, low=exc.low, high=exc.high
         ) from exc
     if info is not None and value.format is not info.format:
-        raise _refused(code, given, f"{info.name} is sent as {_spoken(info)}")
+        raise _refused(family, code, given, f"{info.name} is sent as {_spoken(info)}")
     if value.format is Format.VS:
-        raise _refused(code, given, "drives send strings and accept none")
+        raise _refused(family, code, given, "drives send strings and accept none")
     return value
 
 
@@ -178,5 +178,7 @@ def _spoken(info: CodeInfo) -> str:
     return "a decimal number" if info.format is Format.VD else "octets, such as O01FF"
 
 
-def _refused(code: Code, given: object, why: str) -> CodeValueError:
-    return CodeValueError(f"{code} cannot be set to {given!r}: {why}", code=str(code), value=given)
+def _refused(family: Family, code: Code, given: object, why: str) -> CodeValueError:
+    return CodeValueError(
+        f"{family.spoken(code)} cannot be set to {given!r}: {why}", code=str(code), value=given
+    )

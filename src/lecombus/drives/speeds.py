@@ -144,11 +144,12 @@ def _refuse_jog(known: Known, rules: VerbRules) -> None:
         return
     jog = control_word(known, rules) & bits.jog
     if jog:
+        spoken = known.family.spoken(bits.code)
         raise known.refused(
-            f"{known.drive} takes its speed from JOG value {jog}, by the low bits of {bits.code}: "
+            f"{known.drive} takes its speed from JOG value {jog}, by the low bits of {spoken}: "
             "a setpoint would have no effect, nothing was sent",
             bits.code,
-            f"clear bits 0 and 1 of {bits.code}",
+            f"clear bits 0 and 1 of {spoken}",
         )
 
 
@@ -157,12 +158,13 @@ def _no_way(known: Known, rules: VerbRules) -> OperationError:
     right = sorted(
         number for rule in rules.setpoints if rule.when is not None for number in rule.when.values
     )
-    values = settings_in_force(known, when.code)
-    reads = ", ".join(f"{code} reads {value.raw}" for code, value in values.items())
+    spoken, values = known.family.spoken, settings_in_force(known, when.code)
+    reads = ", ".join(f"{spoken(code)} reads {value.raw}" for code, value in values.items())
+    reads = reads or f"{spoken(when.code)} is not there"
     return known.refused(
-        f"{known.drive} takes no setpoint from the line: {reads or f'{when.code} is not there'}",
+        f"{known.drive} takes no setpoint from the line: {reads}",
         when.code,
-        f"set {when.code} = {' or '.join(map(str, right))}",
+        f"set {spoken(when.code)} = {' or '.join(map(str, right))}",
     )
 
 
@@ -184,5 +186,6 @@ def _bad_speed(
     bits = control_bits(known, rules_of(known.drive, known.family, Verb.SET_SPEED))
     if bits.direction and rule.low >= 0:
         place = bits.direction.bit_length() - 1
-        remedy += f"; its direction of rotation is bit {place} of {bits.code}, not a sign"
+        word = known.family.spoken(bits.code)
+        remedy += f"; its direction of rotation is bit {place} of {word}, not a sign"
     return known.refused(f"{what}: nothing was sent", rule.code, remedy, kind="bad-value")

@@ -197,11 +197,12 @@ def stop_value(family: Family, action: StopAction, control_word: int | None) -> 
         return rule.code, rule.value
     control_word = usable_word(control_word)
     if control_word is None:
+        spoken = family.spoken(rule.code)
         raise OperationError(
-            f"{action} changes bits of {rule.code}, whose present value is not known",
+            f"{action} changes bits of {spoken}, whose present value is not known",
             kind="no-control-word",
             code=str(rule.code),
-            remedy=f"read {rule.code} first, or use inhibit, which needs no control word",
+            remedy=f"read {spoken} first, or use inhibit, which needs no control word",
         )
     word = (control_word | rule.set_mask) & ~rule.clear_mask
     return rule.code, Value.hexadecimal(word, 4)

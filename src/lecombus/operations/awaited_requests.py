@@ -480,8 +480,8 @@ def never_sent(
     elif is_line_lost(reason):
         kind, remedy = "line-lost", "the port is being reopened; ask again when the line is open"
     return OperationError(
-        f"{station.name}, {code}: {text}", kind=kind, drive=station.name, code=str(code),
-        remedy=remedy,
+        f"{station.name}, {station.family.spoken(code)}: {text}", kind=kind, drive=station.name,
+        code=str(code), remedy=remedy,
     )  # fmt: skip
 
 

@@ -73,7 +73,7 @@ class OperationContext:
         self.leases = Leases(state, clock, wall)
         self.permissions = Permissions(requests, store, self.leases)
         self.diagnosis = NakDiagnosis(requests, store, clock)
-        self.why = StandstillDiagnosis(requests, store, clock)
+        self.why = StandstillDiagnosis(requests, store, state, clock)
         self.kinds = WriteKinds(requests.drives, store, self.drive_names)
         self.stop_marks = StopMarks(requests, clock)
         self.shown_stops = ShownStops(requests, store, self.leases, self.kinds)
@@ -86,6 +86,7 @@ class OperationContext:
         self.entries = {entry.name: entry for entry in entries}
         self.groups = dict(groups)
         self.leases.set_roster(entries)
+        self.why.set_roster(entries)
 
     def station(self, drive: str) -> Station:
         """Look a drive up.

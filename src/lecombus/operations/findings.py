@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from lecombus.drive_state.drive_runtime import LastEnable
 from lecombus.drive_state.readings import (
     ActiveFault,
     DriveInfo,
@@ -28,6 +27,7 @@ from lecombus.drives.faults.fault_tables import Fault
 from lecombus.drives.faults.reasons import Reason, Weight
 from lecombus.drives.words import OperatingState
 from lecombus.parameters import Code, Json, Value
+from lecombus.saved_state import LastEnable
 
 __all__ = [
     "MemoryEntry",
@@ -326,10 +326,9 @@ def enable_finding(last: LastEnable, *, stopped_since: bool) -> StandstillFindin
     if not last.taken_back and last.outcome != "refused":
         en, de = "not brought to its end", "nicht zu Ende geführt"
     why = "; ".join(filter(None, (last.reason, last.cause)))
-    time = rfc3339(last.at_s)
     text = Text(
-        f"the last enable, at {time}, was {en}: {why}",
-        f"die letzte Freigabe, um {time}, wurde {de}: {why}",
+        f"the last enable, at {last.at}, was {en}: {why}",
+        f"die letzte Freigabe, um {last.at}, wurde {de}: {why}",
     )
     # A setting that is still in the way is a separate reason.
     weight = Weight.REASON if last.by_drive and not stopped_since else Weight.HINT

@@ -376,5 +376,5 @@ class GroupWrites:
         # An edge or a step may have happened and still read as before.
         plain = station.family.write_class(code, wire) is WriteClass.PLAIN
         outcome = Outcome.REFUSED if plain else Outcome.UNKNOWN
-        text = f"it went out as a multicast, but {code} reads {found.raw}"
+        text = f"it went out as a multicast, but {station.family.spoken(code)} reads {found.raw}"
         return WriteReport(station.name, code, outcome, text, kind="not-in-effect")

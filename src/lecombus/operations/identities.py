@@ -133,7 +133,8 @@ class Identities:
         if known is None or is_same_text(text_of(value), known):
             return
         if self._store.state(drive.name) is DriveState.ONLINE:
-            self._line.doubt(drive, f"{code} reads {text_of(value)}, not {known}: to be audited")
+            spoken = drive.station.family.spoken(code)
+            self._line.doubt(drive, f"{spoken} reads {text_of(value)}, not {known}: to be audited")
 
     def report(self, name: str) -> IdentityReport:
         """Return what is known of who a drive is.
@@ -203,6 +204,7 @@ class Identities:
             facts.identity = dict(report.found)
             facts.accepted_at = rfc3339(self._wall())
             facts.writes_before = dict(facts.writes)
+            facts.last_enable = None  # another device's
             self._state.touch()
         self._store.note(name, IDENTITY_LOCK, None)
         self._line.audit_soon(self._drives.get(name))
@@ -226,7 +228,7 @@ class Identities:
             return None
         roster, record = drive.entry.identity, self._state.drive(drive.name).identity
         parts = [
-            f"{code} reads {texts[str(code)]}, "
+            f"{drive.station.family.spoken(code)} reads {texts[str(code)]}, "
             + (f"the roster says {roster[code]}" if code in roster else f"not {record[str(code)]}")
             for code in differing
         ]

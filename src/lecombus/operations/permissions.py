@@ -97,7 +97,7 @@ class Permissions:
                 check_allowed(station.family, code, wire)
         except CodeValueError as exc:
             raise OperationError(
-                f"{named} of {drive} cannot take {value!s}: {str(exc).removeprefix(f'{code}: ')}",
+                f"{named} of {drive} cannot take {value!s}: {str(exc).removeprefix(f'{named}: ')}",
                 kind="bad-value",
                 drive=drive,
                 code=str(code),
@@ -317,7 +317,7 @@ def check_restored(
         remedy = "write it by itself, without `restore`, if it is meant"
     if why:
         raise OperationError(
-            f"{code} of {rights.drive} is not restored: {why}",
+            f"{family.spoken(code)} of {rights.drive} is not restored: {why}",
             kind="not-writable",
             drive=rights.drive,
             code=str(code),

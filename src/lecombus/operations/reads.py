@@ -53,7 +53,7 @@ class Reads:
         reading = self._context.store.reading(drive, code)
         if reading is None:
             raise OperationError(
-                f"the roster changed while {code} of {drive} was read",
+                f"the roster changed while {station.family.spoken(code)} of {drive} was read",
                 kind="not-ready",
                 drive=drive,
                 code=str(code),

@@ -105,7 +105,7 @@ def enabled(known: Known) -> WriteReport:
     rules = rules_of(known.drive, known.family, Verb.ENABLE)
     code = next(code for code in rules.enable.proofs if code in known.values)
     proof = Proof(code, known.values[code].raw, "enabled")
-    text = f"{code} reads {proof.raw}"
+    text = f"{known.family.spoken(code)} reads {proof.raw}"
     return WriteReport(known.drive, None, Outcome.VERIFIED, text, proof=proof)
 
 

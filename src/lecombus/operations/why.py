@@ -4,17 +4,16 @@ Strategy: nothing is concluded that is not known. What the line and the drive's 
 comes first (a drive that is silent says nothing more), then the fault it shows, then what its
 words and values say by the reasons of the data files (`drives.faults.reasons`), then what lecombus
 itself knows (locks, a watchdog fed too late), then the fault memories. An enable that was refused
-or taken back is remembered, with its cause, until one succeeds. A value that is not fresh
-is used and called stale; one that is not known proves nothing. With `fresh` the few codes that
-matter are read first.
+or taken back is remembered, with its cause, until one succeeds, also when the daemon restarts. A
+value that is not fresh is used and called stale; one that is not known proves nothing. With `fresh`
+the few codes that matter are read first.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
-from lecombus.drive_state.drive_runtime import LastEnable
 from lecombus.drive_state.motion import overtaken_commands
 from lecombus.drive_state.readings import (
     NO_SUCH_CODE,
@@ -24,6 +23,7 @@ from lecombus.drive_state.readings import (
     DriveState,
     Quality,
     Reading,
+    rfc3339,
 )
 from lecombus.drive_state.store import Store
 from lecombus.drives import Family, Verb
@@ -52,6 +52,8 @@ from lecombus.operations.findings import (
 )
 from lecombus.operations.operation_reports import VerbReport
 from lecombus.parameters import Code
+from lecombus.roster import DriveEntry
+from lecombus.saved_state import LastEnable, State
 from lecombus.schedule import Outcome, Priority
 
 __all__ = ["StandstillDiagnosis"]
@@ -77,6 +79,7 @@ class StandstillDiagnosis:
     Args:
         requests: Sends requests.
         store: What is known.
+        state: What is kept: the last enable of each drive, where it failed.
         clock: Monotonic time, seconds.
     """
 
@@ -84,12 +87,21 @@ class StandstillDiagnosis:
         self,
         requests: Requests,
         store: Store,
+        state: State,
         clock: Callable[[], float],
     ) -> None:
         self._requests = requests
         self._store = store
+        self._state = state
         self._clock = clock
         self._drives = requests.drives
+
+    def set_roster(self, entries: Sequence[DriveEntry]) -> None:
+        """Forget the enables of drives that have another address or family now."""
+        for entry in entries:
+            last = self._state.drive(entry.name).last_enable
+            if last and (last.address, last.family) != (entry.address, entry.family):
+                self._forget(entry.name)
 
     def enable_ended(self, report: VerbReport, *, taken_back: bool) -> None:
         """Remember an enable that failed until one succeeds.
@@ -99,7 +111,7 @@ class StandstillDiagnosis:
         if report.outcome.is_good:
             drive = self._drives.find(report.drive)
             if drive is not None:
-                drive.enable.failed = None
+                self._forget(drive.name)
                 drive.enable.lapses_then = self._lapses(drive.name)
         elif report.outcome is not Outcome.SUPERSEDED and report.kind != "client-gone":
             self._remember(report, taken_back=taken_back, by_drive=True)
@@ -117,10 +129,18 @@ class StandstillDiagnosis:
             return  # it has left the roster
         drive.enable.stops_then = drive.lasting.stops_and_writes
         remedy = TAKEN_BACK_REMEDY if taken_back else report.remedy
-        drive.enable.failed = LastEnable(
-            self._store.time_of_day(), report.outcome.value, taken_back, report.reason,
-            report.cause, remedy, by_drive,
+        entry = drive.entry
+        self._state.drive(drive.name).last_enable = LastEnable(
+            rfc3339(self._store.time_of_day()), entry.address, entry.family, report.outcome.value,
+            taken_back, _plain(report.reason), _plain(report.cause), _plain(remedy), by_drive,
         )  # fmt: skip
+        self._state.touch()
+
+    def _forget(self, drive: str) -> None:
+        facts = self._state.drive(drive)
+        if facts.last_enable is not None:
+            facts.last_enable = None
+            self._state.touch()
 
     async def why(
         self, drive: str, *, fresh: bool = False, priority: Priority = Priority.INTERACTIVE
@@ -177,16 +197,19 @@ class StandstillDiagnosis:
 
     def _last_enable(self, drive: str, values: Mapping[Code, Reading]) -> LastEnable | None:
         """Give the last enable if it failed, unless the drive shows now that it is enabled."""
-        enable = self._drives.get(drive).enable
+        last = self._state.drive(drive).last_enable
+        if last is None:
+            return None
         family = self._store.family(drive)
         good = {
             code: one.value
             for code, one in values.items()
             if one.value is not None and one.quality is Quality.GOOD
         }
-        if enable.failed and family.verbs and is_enabled(Known(drive, family, good)):
-            enable.failed = None
-        return enable.failed
+        if family.verbs and is_enabled(Known(drive, family, good)):
+            self._forget(drive)
+            return None
+        return last
 
     # -- what is asked -----------------------------------------------------------------------------
 
@@ -318,6 +341,11 @@ class StandstillDiagnosis:
                     MemoryEntry(code, int(number), family.fault(int(number)), reading.age_s, stale)
                 )
         return tuple(entries), known
+
+
+def _plain(text: str) -> str:
+    """Return a text as the state file takes it: without control characters."""
+    return "".join(one if one.isprintable() else " " for one in text)
 
 
 def shown_states(family: Family, values: Mapping[Code, Reading]) -> tuple[OperatingState, ...]:

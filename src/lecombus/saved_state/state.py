@@ -31,9 +31,12 @@ from typing import Annotated, Any, Final
 
 from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 
+from lecombus.parameters import Json
+
 __all__ = [
     "VERSION",
     "DriveFacts",
+    "LastEnable",
     "Moved",
     "NewerStateError",
     "State",
@@ -86,6 +89,44 @@ class Moved:
     confirmed: bool
 
 
+@dataclass(frozen=True, slots=True)
+class LastEnable:
+    """The last enable of a drive, where it was refused or taken back.
+
+    Args:
+        at: When it ended, RFC 3339.
+        address: The address that the drive had then.
+        family: The family that it had then.
+        outcome: `refused` or `unknown`.
+        taken_back: The drive took it, did not show it, and was stopped again.
+        reason: What happened.
+        cause: Why, probably.
+        remedy: What to do.
+        by_drive: The drive refused or ignored it; else a setting kept it from being sent.
+    """
+
+    at: PlainText
+    address: Annotated[int, Field(ge=1, le=99)]
+    family: PlainText
+    outcome: PlainText
+    taken_back: bool
+    reason: PlainText
+    cause: PlainText
+    remedy: PlainText
+    by_drive: bool
+
+    def as_json(self) -> dict[str, Json]:
+        """Return the JSON form."""
+        return {
+            "time": self.at,
+            "outcome": self.outcome,
+            "taken_back": self.taken_back,
+            "reason": self.reason or None,
+            "cause": self.cause or None,
+            "remedy": self.remedy or None,
+        }
+
+
 @dataclass(slots=True)
 class DriveFacts:
     """What is kept of one drive.
@@ -96,6 +137,7 @@ class DriveFacts:
         writes: Writes that may have reached its memory, by code, never reset.
         writes_before: The same when the present device was accepted in place of another.
         moved: Where it was moved to, as long as the roster says otherwise.
+        last_enable: The last enable, where it failed and none succeeded since.
     """
 
     identity: dict[PlainText, PlainText] = field(default_factory=dict)
@@ -103,6 +145,7 @@ class DriveFacts:
     writes: dict[PlainText, Count] = field(default_factory=dict)
     writes_before: dict[PlainText, Count] = field(default_factory=dict)
     moved: Moved | None = None
+    last_enable: LastEnable | None = None
 
 
 @dataclass(slots=True)

@@ -100,8 +100,9 @@ def remark_answer_times(drive: Drive, store: Store) -> None:
     if not rows:
         store.note(drive.name, SLOW_REMARK, None)
         return
+    late = [_words(drive, row) for row in rows[:SHOWN]]
     text = (
-        f"answers later than its manual says ({', '.join(map(_words, rows[:SHOWN]))}"
+        f"answers later than its manual says ({', '.join(late)}"
         f"{', ..' if len(rows) > SHOWN else ''}); its time-outs are widened: give its "
         "answer_time in the roster, look at what delays it, or, if that is past, "
         f"`lecombus forget-times {drive.name}`"
@@ -115,6 +116,7 @@ def remark_answer_times(drive: Drive, store: Store) -> None:
         )  # fmt: skip
 
 
-def _words(row: AnswerRow) -> str:
-    what = f"{row.code} written" if row.write else str(row.code)
+def _words(drive: Drive, row: AnswerRow) -> str:
+    code = drive.station.family.spoken(row.code)
+    what = f"{code} written" if row.write else code
     return f"{what} after {row.measured_s * 1000:.0f} ms instead of {row.manual_s * 1000:.0f} ms"

@@ -305,7 +305,9 @@ class WatchdogAudit:
                 station.name, code, wire.raw, outcome, reason,
             )  # fmt: skip
         if reason.startswith(STOPPED):
-            raise AuditError(f"{code} = {wire.raw} was not written: {reason}")
+            raise AuditError(
+                f"{station.family.spoken(code)} = {wire.raw} was not written: {reason}"
+            )
         return outcome is Outcome.VERIFIED
 
 

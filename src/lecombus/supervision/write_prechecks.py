@@ -177,7 +177,7 @@ class WritePrechecks:
         own, unsure = dict(found), []
         differing = self._identities.differing(drive, found)
         for code in self._identities.unconfirmed(drive, found):
-            value = own.pop(code)
+            value, spoken = own.pop(code), station.family.spoken(code)
             try:
                 sure = await self._requests.own_value(station, code, value, timeout_s=PATIENCE_S)
             except UnknownCodeError:
@@ -185,9 +185,9 @@ class WritePrechecks:
             if sure is not None:
                 own[code] = sure
             elif code in differing:
-                raise AuditError(f"{code} reads {value.raw}, which may be another drive's answer")
+                raise AuditError(f"{spoken} reads {value.raw}, which may be another drive's answer")
             else:
-                unsure.append(str(code))
+                unsure.append(spoken)
         if unsure:
             codes = " and ".join(unsure)
             text = f"who it is cannot be checked: answers come twice, {codes} may be another's"

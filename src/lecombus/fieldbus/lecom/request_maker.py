@@ -427,7 +427,7 @@ def form_of(station: Station, code: Code) -> AddressForm:
         if form.carries(code):
             return form
     raise OperationError(
-        f"{station.name}: {code} cannot be asked for in standard addressing",
+        f"{station.name}: {station.family.spoken(code)} cannot be asked for in standard addressing",
         kind="no-such-code",
         drive=station.name,
         code=str(code),

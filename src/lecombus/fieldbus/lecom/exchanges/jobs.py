@@ -409,7 +409,10 @@ class WriteJob(WriteWork):
             if self.attempts <= self.retries:
                 return self._again()
             text = "the write was not acknowledged: something else may hold the drive"
-            return Outcome.UNKNOWN, f"{text}, {self.code} reads {self.proof.raw}"
+            return (
+                Outcome.UNKNOWN,
+                f"{text}, {self.station.family.spoken(self.code)} reads {self.proof.raw}",
+            )
         if back.is_shown:
             self.error = None
             two = back.may_be_two(result.ended_s) if self._stops else ""

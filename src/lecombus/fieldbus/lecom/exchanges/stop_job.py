@@ -258,7 +258,8 @@ class StopJob(StopWork):
             if not self.may_inhibit:
                 return None
             self._inhibit(
-                f"needs {step.code}, which may not be read now: an old answer may still come"
+                f"needs {self._spoken(step.code)}, which may not be read now: an old answer may "
+                "still come"
             )
             return 0.0
         over = tried_s >= self.patience_s
@@ -433,9 +434,9 @@ class StopJob(StopWork):
             what = (
                 "control" if step.code == self.station.family.stops[self.action].code else "status"
             )
-            return f"needs {step.code}, which reads {value.number!s}: no {what} word"
+            return f"needs {self._spoken(step.code)}, which reads {value.number!s}: no {what} word"
         error = error_of(self.station, step, result, max(1, self._failed_reads))
-        return f"needs {step.code}, which could not be read: {error}"
+        return f"needs {self._spoken(step.code)}, which could not be read: {error}"
 
     def _checked(self, step: JobStep, result: Result, over: bool) -> Verdict:
         self._checking = False
@@ -471,7 +472,7 @@ class StopJob(StopWork):
         self._unshown += 1
         self._turn(refused=True)
         came_to = "was refused by the drive (NAK), and" if self._naks else "was sent, but"
-        reads = f"{came_to} {step.code} reads {self.proof.raw}"
+        reads = f"{came_to} {self._spoken(step.code)} reads {self.proof.raw}"
         if self._is_without_effect(result, over):
             self._inhibit(reads, result.ended_s)
             return None
@@ -486,8 +487,8 @@ class StopJob(StopWork):
             return None
         return Outcome.UNKNOWN, (
             f"{self._why}{self.action} was sent, but second or late answers come on this line, and "
-            f"other drives are asked for {step.code} all the time: no answer is this drive's for "
-            "certain"
+            f"other drives are asked for {self._spoken(step.code)} all the time: no answer is this "
+            "drive's for certain"
         )
 
     def _not_shown(self, step: JobStep, reads: str) -> Verdict:
@@ -505,9 +506,13 @@ class StopJob(StopWork):
     def _shown(self) -> str:
         """What shows the stop; a command that reads back shows no more than that it is held."""
         assert self.proof is not None
+        assert self.proof_code is not None
         held = self.proof_code == self.station.family.stops[self.action].code
-        text = f"{self.proof_code} reads {self.proof.raw}"
+        text = f"{self._spoken(self.proof_code)} reads {self.proof.raw}"
         return f"command held, {text}" if held else text
+
+    def _spoken(self, code: Code) -> str:
+        return self.station.family.spoken(code)
 
     def _is_without_effect(self, result: Result, over: bool) -> bool:
         """Whether a quick stop was taken often enough without showing."""

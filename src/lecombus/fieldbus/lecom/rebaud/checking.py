@@ -133,10 +133,11 @@ async def is_same_drive(line: RebaudLine, drive: RebaudDrive, rate: int) -> str:
     """Read the identity again; return what differs, empty when it is the same."""
     for code, before in drive.identity.items():
         answer = await line.read(drive, rate, code)
+        spoken = drive.subject.family.spoken(code)
         if answer.value is None:
-            return f"it does not say who it is there ({code}: {answer.text})"
+            return f"it does not say who it is there ({spoken}: {answer.text})"
         if not is_identity(answer.value, text_of(before)):
-            return f"{code} reads {text_of(answer.value)} there, not {text_of(before)}"
+            return f"{spoken} reads {text_of(answer.value)} there, not {text_of(before)}"
     return ""
 
 
