@@ -227,8 +227,9 @@ class Adversary:
     def _ask_longest(self, one: Longest, priority: Priority) -> Request:
         """Read what takes longest; writes that take as long could change how drives answer."""
         station = self._site.requests.station(one.drive)
-        maker = self._site.requests.maker
-        request = maker.read(station, one.code, priority, settle=_ignored, retries=0)
+        maker, family = self._site.requests.maker, station.family
+        code = next(it.code for it in family.described() if family.spoken(it.code) == one.code)
+        request = maker.read(station, code, priority, settle=_ignored, retries=0)
         self._put_in(request, "")
         return request
 

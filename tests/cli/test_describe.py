@@ -142,6 +142,15 @@ def test_a_parameter_is_named_as_at_the_keypad(run: Run) -> None:
     assert "keypad" not in run("describe", "8200vector", "C0012").out
 
 
+def test_on_a_terminal_the_list_names_parameters_as_at_the_keypad(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert "\nC1425\t" in run("describe", "smvector").out
+    monkeypatch.setattr(describe, "on_terminal", lambda: True)
+    assert "\nP425\t" in run("describe", "smvector").out
+    assert "\nC0150\t" in run("describe", "smvector").out
+
+
 @pytest.mark.parametrize("code", ["C0012", "C0013"])
 @pytest.mark.parametrize("family", ["820x", "821x", "8200vector", "93xx"])
 def test_ramps_are_in_seconds(run: Run, family: str, code: str) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from cli.conftest import Run, SetZone
 from cli.daemon_stub import DaemonStub
-from lecombus.cli import events, screen
+from lecombus.cli import document_rows, events, screen
 
 pytestmark = pytest.mark.clock
 
@@ -90,6 +90,29 @@ def test_on_a_terminal_it_has_columns_and_local_time(
     daemon.answers["GET /v1/events"] = (200, frames(("value", hostile)))
     ran = run("events", "--count", "1")
     assert ran.out.startswith("10:15:02  value   fee\\x1b[2Jder  C0046 bell\\x07 50.1 Hz")
+
+
+def test_on_a_terminal_a_code_of_an_smvector_is_named_as_at_its_keypad(
+    run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found: list[tuple[str, dict[str, Any]]] = [
+        ("value", VALUE | {"drive": "fan", "code": "C1410", "subcode": 1}),
+        ("write", {"drive": "fan", "what": "write", "outcome": "done", "code": "C1425",
+                   "value": "20", "by": BY}),
+        ("value", VALUE),
+    ]  # fmt: skip
+    daemon.answers["GET /v1/events"] = (200, frames(*found))
+    assert "C1410/1 frequency" in run("events", "--count", "3").out
+    drives = [{"drive": "fan", "address": 1, "family": "smvector", "state": "online"}]
+    daemon.answers["GET /v1/drives"] = (200, json.dumps({"drives": drives}))
+    for module in (events, screen, document_rows):
+        monkeypatch.setattr(module, "on_terminal", lambda: True)
+    ran = run("events", "--count", "3").out
+    assert "P410/1 frequency" in ran
+    assert "write P425 20: done" in ran
+    assert "C0046 frequency" in ran
+    del daemon.answers["GET /v1/drives"]
+    assert "C1410/1 frequency" in run("events", "--count", "3").out
 
 
 def test_json_keeps_numbers_as_the_daemon_wrote_them(run: Run, daemon: DaemonStub) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from cli.conftest import Run, SetZone
 from cli.daemon_stub import DaemonStub
+from lecombus.cli import document_rows, journal
 from lecombus.cli.journal import no_formula
 from support.golden import Golden
 
@@ -48,6 +49,26 @@ def page(
 @pytest.fixture(autouse=True)
 def berlin(set_zone: SetZone) -> None:
     set_zone("Europe/Berlin")
+
+
+def test_on_a_terminal_a_code_of_an_smvector_is_named_as_at_its_keypad(
+    run: Run, daemon: DaemonStub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written = [
+        row(1, "write", "done", drive=name, fields=WRITE | {"code": "C1425"})
+        for name in ("fan", "feeder")
+    ]
+    daemon.answers[LAST] = page(written)
+    drives = [{"drive": "fan", "family": "smvector"}, {"drive": "feeder", "family": "820x"}]
+    daemon.answers["GET /v1/drives"] = (200, json.dumps({"drives": drives}))
+    assert run("journal").out.count("code=C1425") == 2
+    for module in (journal, document_rows):
+        monkeypatch.setattr(module, "on_terminal", lambda: True)
+    of_fan, of_feeder = [line for line in run("journal").out.splitlines() if "code=" in line]
+    assert "code=P425" in of_fan
+    assert "code=C1425" in of_feeder
+    del daemon.answers["GET /v1/drives"]
+    assert run("journal").out.count("code=C1425") == 2, "the rows are shown all the same"
 
 
 def test_each_operation_is_one_line_by_its_end_or_as_asked(

@@ -49,6 +49,21 @@ def test_it_says_load_waits_watchdogs_and_what_would_change_them(
         assert word in out
 
 
+def test_on_a_terminal_a_code_of_an_smvector_is_named_as_at_its_keypad(
+    roster: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cyclic = "cyclic: [{code: C1527, every: 1s}, {code: C0150, every: 1s}]"
+    roster.write_text(roster.read_text().replace("family: smvector", f"family: smvector, {cyclic}"))
+    assert main(["plan", "-c", str(roster)]) == 0
+    assert "a\tC1527\t" in capsys.readouterr().out
+    monkeypatch.setattr("lecombus.cli.document_rows.on_terminal", lambda: True)
+    assert main(["plan", "-c", str(roster)]) == 0
+    out = capsys.readouterr().out
+    assert "a\tP527\t" in out
+    assert "a\tC0150\t" in out
+    assert "C1527" not in out
+
+
 def test_json_is_one_document(roster: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["plan", "-c", str(roster), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["baud"] == 9600

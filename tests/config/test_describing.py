@@ -34,6 +34,14 @@ def test_groups_say_whether_one_telegram_reaches_them() -> None:
     assert any("group one: multicast does nothing" in text for text in description.warnings)
 
 
+def test_a_parameter_of_an_smvector_is_named_as_at_its_keypad() -> None:
+    text = roster_text([("fan", 11, "smvector")], drive="also_writable: [C1502]")
+    said = [one for one in warned(text) if "writable here" in one]
+    assert said == ["fan: P502 (drive ID) is writable here, read only in its manual"]
+    text = roster_text([("fan", 11, "smvector")], drive="cyclic: [{code: C1527, every: 1s}]")
+    assert any("add {code: C0150, every: 1s}" in one for one in warned(text))
+
+
 def test_writes_go_as_one_telegram_where_the_roster_says_that_it_knows_every_drive() -> None:
     text = "groups: {all: {multicast: yes}, both: {members: [belt, feeder], multicast: yes}}"
     description = describe(parsed(roster_with(text)))

@@ -18,6 +18,7 @@ from lecombus.fieldbus.lecom.protocol.controls import STX
 from lecombus.operations.findings import WhyReport, lapse_finding
 from lecombus.operations.operation_reports import VerbReport
 from lecombus.parameters import Code, Value
+from lecombus.saved_state import State
 from lecombus.schedule import Outcome
 from support.rosters import roster_text
 from support.site_host import Plant, until, with_plant
@@ -486,6 +487,47 @@ def test_an_enable_that_a_stop_ended_is_no_refusal() -> None:
         assert (await plant.site.operations.why("vector", fresh=True)).last_enable is None
 
     at("vector", test)
+
+
+def test_a_failed_enable_is_remembered_when_the_daemon_restarts() -> None:
+    state = State()
+
+    async def fails(plant: Plant) -> None:
+        await plant.online()
+        plant.line["vector"].model.set_terminal(high=False)
+        assert (await enable(plant, "vector")).outcome is Outcome.REFUSED
+
+    async def restarted(plant: Plant) -> None:
+        await plant.online()
+        why = await plant.site.operations.why("vector", fresh=True)
+        assert why.last_enable == state.drive("vector").last_enable
+        assert "was taken back: " in next(
+            one.text.en for one in why.findings if one.name == "enable-taken-back"
+        )
+        plant.line["vector"].model.set_terminal(high=True)
+        assert (await enable(plant, "vector")).outcome is Outcome.VERIFIED
+        assert (await plant.site.operations.why("vector")).last_enable is None
+
+    async def replaced(plant: Plant) -> None:
+        await plant.online()
+        operations = plant.site.operations
+        operations.accept("vector", operations.identity("vector").found)
+        assert (await operations.why("vector")).last_enable is None
+
+    roster = roster_text([one for one in FAMILIES if one[0] == "vector"])
+    with_plant(fails, roster, state=state)
+    kept = state.text().encode()
+    state = State.parse(kept)
+    with_plant(restarted, roster, state=state)
+    other = State.parse(kept)
+    other.drive("vector").identity = dict.fromkeys(other.drive("vector").identity, "another")
+    with_plant(replaced, roster, state=other)
+    moved = roster_text([("vector", 17, "8200vector")])
+
+    async def elsewhere(plant: Plant) -> None:
+        assert (await plant.site.operations.why("vector")).last_enable is None
+
+    with_plant(elsewhere, moved, state=State.parse(kept))
 
 
 def test_another_drive_of_the_same_name_has_no_last_enable() -> None:

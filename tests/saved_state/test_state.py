@@ -12,7 +12,7 @@ import anyio
 import anyio.lowlevel
 import pytest
 
-from lecombus.saved_state import DriveFacts, Keeping, Moved, State, StateFile, state
+from lecombus.saved_state import DriveFacts, Keeping, LastEnable, Moved, State, StateFile, state
 from lecombus.saved_state.state import FORMER_MOST, VERSION, NewerStateError, StateFormatError
 
 
@@ -22,6 +22,10 @@ def filled() -> State:
     facts.identity["C1810"] = "33S2102I_10000"
     facts.writes["C0012"] = 7
     facts.moved = Moved(12, "2026-11-22T00:00:00.000Z", confirmed=True)
+    facts.last_enable = LastEnable(
+        "2026-11-22T00:00:00.000Z", 11, "8200vector", "refused", taken_back=True, reason="C0135 ..",
+        cause="probably the terminal", remedy="put that in order", by_drive=True,
+    )  # fmt: skip
     state.touch()
     return state
 
@@ -57,6 +61,7 @@ def test_a_disk_that_fails_leaves_the_old_file_as_it_was(
      b'{"version": 1, "drives": {"a": {"writes": {"C0012": -1}}}}',
      b'{"version": 1, "drives": {"a": {"identity": {"C0012": 5}}}}',
      b'{"version": 1, "drives": {"a": {"identity": {"C0012": "\\u001b[2J"}}}}',
+     b'{"version": 1, "drives": {"a": {"last_enable": {"at": "today"}}}}',
      b'{"version": 1, "drives": {"a": {"moved": {"address": 999, "at": "", "confirmed": true}}}}',
      b"[" * 200_000],
 )  # fmt: skip

@@ -106,6 +106,18 @@ def test_a_swapped_drive_is_not_written_to_until_it_is_accepted(
     assert len([one for one in events if "event=identity-accepted" in one]) == 1
 
 
+def test_a_swapped_smvector_is_told_by_the_parameter_that_its_keypad_shows() -> None:
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        with pytest.raises(OperationError, match=r"^P426 of a cannot take 9: "):
+            await plant.site.operations.write("a", Code(1426), 9)
+        plant.line["a"].model.params.set(1502, "8")
+        await leave_and_return(plant)
+        assert "P502 reads 8, not 25" in lock(plant)
+
+    with_plant(test, roster_text([("a", 11, "smvector")], drive="also_writable: [C1426]"))
+
+
 def test_a_drive_that_any_read_shows_to_be_another_is_audited_anew() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()

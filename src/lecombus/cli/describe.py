@@ -143,7 +143,7 @@ def show_family(described: Family, language: Language, *, as_json: bool) -> None
     say = words_in(language)
     rows = [
         (
-            str(info.code),
+            described.spoken(info.code) if on_terminal() else str(info.code),
             info.name_in(language),
             info.format.value,
             info.allowed_in(language),

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from contextlib import aclosing
+from collections.abc import Mapping, Sequence
+from contextlib import aclosing, suppress
 from datetime import datetime
 from typing import TYPE_CHECKING, Final
 
@@ -12,10 +12,11 @@ import click
 
 from lecombus.cli.arguments import DURATION, DaemonOptions, WholeNumber, daemon_options
 from lecombus.cli.daemon_access import command_errors, connected
-from lecombus.cli.document_rows import Document, cells_of, code_of, quality_of, value_of
+from lecombus.cli.document_rows import Document, cells_of, code_of, quality_of, shown_code, value_of
 from lecombus.cli.exits import Exit
 from lecombus.cli.screen import on_terminal, printable, table_text
 from lecombus.client.connection import text_of
+from lecombus.client.errors import ClientError
 from lecombus.event_stream import GAP, KINDS
 
 if TYPE_CHECKING:
@@ -75,11 +76,15 @@ async def follow(
     drives, kinds = wanted
     printed = 0
     async with connected(daemon) as line:
+        families: dict[str, str] = {}
+        if on_terminal() and not daemon.as_json:
+            with suppress(ClientError):  # the events wait for a daemon that is away
+                families = {one.name: one.family for one in await line.drives()}
         found = line.events(drives=drives, kinds=kinds, after=after, patience_s=patience_s)
         with command_errors():
             async with aclosing(found) as events:
                 async for event in events:
-                    click.echo(as_json(event) if daemon.as_json else as_row(event))
+                    click.echo(as_json(event) if daemon.as_json else as_row(event, families))
                     printed += event.kind != GAP
                     if printed == count:
                         return
@@ -91,10 +96,15 @@ def as_json(event: Event) -> str:
     return f'{{{head}, "data": {text_of(dict(event.data))}}}'
 
 
-def as_row(event: Event) -> str:
-    """Return an event as one line for a person, or as cells in a pipe."""
+def as_row(event: Event, families: Mapping[str, str]) -> str:
+    """Return an event as one line for a person, or as cells in a pipe.
+
+    Args:
+        event: The event.
+        families: The drives' families, by name: their codes are named as their keypads do.
+    """
     data = event.data
-    time, text = table_text(data.get("time")), printable(in_words(event))
+    time, text = table_text(data.get("time")), printable(in_words(event, families))
     drive = printable(event.drive)
     if not on_terminal():
         return "\t".join((time, event.kind, drive, text.replace("\t", " ")))
@@ -109,10 +119,14 @@ def local(time: str) -> str:
         return ""
 
 
-def in_words(event: Event) -> str:
+def in_words(event: Event, families: Mapping[str, str]) -> str:
     """Say what happened; a kind that this program does not know is shown as it came."""
-    say = WORDS.get(event.kind)
-    return text_of(dict(event.data)) if say is None else say(event.data)
+    say, data = WORDS.get(event.kind), dict(event.data)
+    if say is None:
+        return text_of(data)
+    if data.get("code"):
+        data["code"] = shown_code(families.get(event.drive), code_of(data))
+    return say(data)
 
 
 def value(data: Document) -> str:

@@ -20,7 +20,7 @@ import click
 
 from lecombus.cli.arguments import DaemonOptions, WholeNumber, Word, daemon_options
 from lecombus.cli.daemon_access import ask, show
-from lecombus.cli.document_rows import Document
+from lecombus.cli.document_rows import Document, shown_code
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.screen import on_terminal, printable, show_rows, table_text
 from lecombus.durations import DurationError, parse_duration
@@ -101,6 +101,7 @@ def journal_command(
         if not first:
             _say_if_unknown(daemon, drive)
         rows = chain(first, rows)
+    families = _families(daemon) if on_terminal() and not daemon.as_json else {}
     if daemon.as_json:
         for row in rows:
             click.echo(json.dumps(row, ensure_ascii=False))
@@ -108,10 +109,10 @@ def journal_command(
         _write_csv(_ends(rows))
     elif follow or not on_terminal():
         for row in _ends(rows):
-            click.echo("\t".join(_cells(row)))
+            click.echo("\t".join(_cells(row, families)))
             sys.stdout.flush()
     else:
-        show_rows(HEADINGS, [_cells(row) for row in _ends(rows)])
+        show_rows(HEADINGS, [_cells(row, families) for row in _ends(rows)])
     return Exit.DONE
 
 
@@ -150,6 +151,15 @@ def _rows(
             time.sleep(FOLLOW_S)
         more = {"since": since} if since is not None and page["next"] is not None else {}
         page = ask(daemon, "/v1/journal", after=str(behind), limit=str(PAGE), **more, **of).data
+
+
+def _families(daemon: DaemonOptions) -> Mapping[str, str]:
+    """Return the drives' families, by name; a drive may have left the roster since."""
+    try:
+        drives = ask(daemon, "/v1/drives").data["drives"]
+    except CommandError:  # the rows are shown all the same
+        return {}
+    return {one["drive"]: one["family"] for one in drives}
 
 
 def _say_if_unknown(daemon: DaemonOptions, drive: str) -> None:
@@ -214,11 +224,14 @@ def _ends(rows: Iterable[Document]) -> Iterator[Document]:
     return (row for row in rows if row["outcome"] != ASKED or not row["ended"])
 
 
-def _cells(row: Document) -> Sequence[str]:
-    """Return the cells of a table's row."""
+def _cells(row: Document, families: Mapping[str, str]) -> Sequence[str]:
+    """Return the cells of a table's row; a code as the drive's keypad names it, for people."""
+    fields: Document = row["fields"]
+    if "code" in fields:
+        fields = {**fields, "code": shown_code(families.get(row["drive"]), fields["code"])}
     local = datetime.fromisoformat(str(row["time"])).astimezone()
     when = local.replace(tzinfo=None).isoformat(" ", "milliseconds")
-    cells = (when, row["what"], row["drive"], row["outcome"], _details(row["fields"]))
+    cells = (when, row["what"], row["drive"], row["outcome"], _details(fields))
     return [printable(table_text(cell)) for cell in cells]
 
 

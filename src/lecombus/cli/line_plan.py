@@ -19,6 +19,7 @@ from lecombus.capacity.timeline import Preview, picture, preview
 from lecombus.capacity.watchdog_feasibility import InfeasibleWatchdog, find_infeasible, rounded_up
 from lecombus.cli.arguments import DaemonOptions, daemon_options
 from lecombus.cli.daemon_access import ask
+from lecombus.cli.document_rows import shown_code
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.screen import counted, show_table
 from lecombus.cli.whole_file import write_whole
@@ -32,6 +33,9 @@ __all__ = ["plan_command"]
 
 Answers = Mapping[str, Sequence[Mapping[str, Any]]]
 """By drive: what was measured of each code, as `capacity.facts.answers_of` gives it."""
+
+Families = Mapping[str, str]
+"""By drive: the name of its family."""
 
 SILENCE = (
     "while drives that do not answer are being stopped, no class but the stops of others is held "
@@ -102,9 +106,9 @@ def plan_command(
         run = {"run": shown.as_json()}
         click.echo(json.dumps(plan.as_json() | run | more, ensure_ascii=False))
     else:
-        _show(plan, shown)
+        _show(plan, shown, families_of(loaded))
         if answers is not None:
-            show_answers(answers)
+            show_answers(answers, families_of(loaded))
             show_unheld(unheld)
     return Exit.DONE
 
@@ -112,11 +116,11 @@ def plan_command(
 def _live(roster: Path | None, svg: Path | None, daemon: DaemonOptions) -> int:
     if roster is not None or svg is not None:
         raise click.UsageError("--live takes the running daemon's roster: leave out -c and --svg")
-    found = live_of(ask(daemon, "/v1/plan"))
+    found, running = live_of(ask(daemon, "/v1/plan"))
     if daemon.as_json:
         click.echo(json.dumps(found.as_json(), ensure_ascii=False))
     else:
-        show_live(found)
+        show_live(found, families_of(running))
     return Exit.DONE
 
 
@@ -128,7 +132,7 @@ def _draw(roster: Roster, shown: Preview, file: Path, read_from: Path | None) ->
     write_whole(file, picture(title, names, shown), may_replace=True)
 
 
-def _show(plan: LinePlan, shown: Preview) -> None:
+def _show(plan: LinePlan, shown: Preview, families: Families) -> None:
     load = plan.load
     click.echo(
         f"line {plan.line} at {plan.baud} baud: {load.total:.0%} of it is asked for "
@@ -150,7 +154,7 @@ def _show(plan: LinePlan, shown: Preview) -> None:
     _show_waits(plan)
     _show_leases(plan)
     _show_watchdogs(plan)
-    _show_exchanges(plan)
+    _show_exchanges(plan, families)
     _show_effects(plan)
 
 
@@ -250,12 +254,13 @@ def _show_watchdogs(plan: LinePlan) -> None:
     )  # fmt: skip
 
 
-def _show_exchanges(plan: LinePlan) -> None:
+def _show_exchanges(plan: LinePlan, families: Families) -> None:
     show_table(
         ("drive", "what", "asked every", "reached", "usual", "one failed attempt", "at most"),
         [
-            (one.drive, one.what, format_duration(one.every_s), _time(one.cycle_s),
-             _time(one.times.usual_s), _time(one.times.worst_s), _time(one.most_s))
+            (one.drive, shown_code(families.get(one.drive), one.what),
+             format_duration(one.every_s), _time(one.cycle_s), _time(one.times.usual_s),
+             _time(one.times.worst_s), _time(one.most_s))
             for one in plan.exchanges
         ],
         title="exchanges",
@@ -284,8 +289,13 @@ def _show_effects(plan: LinePlan) -> None:
         )
 
 
-def live_of(answer: Answer) -> LivePlan:
-    """Compare what a daemon gives.
+def families_of(roster: Roster) -> Families:
+    """Give the drives' families, by name."""
+    return {drive.name: drive.family for drive in roster.drives}
+
+
+def live_of(answer: Answer) -> tuple[LivePlan, Roster]:
+    """Compare what a daemon gives; return it with the daemon's roster.
 
     Raises:
         CommandError: It speaks another version.
@@ -293,7 +303,7 @@ def live_of(answer: Answer) -> LivePlan:
     with _understood():
         document = json.loads(answer.text)
         roster, measured = roster_of(document["roster"]), document["measured"]
-        return compare(roster, measured, document["away"], document["state"])
+        return compare(roster, measured, document["away"], document["state"]), roster
 
 
 def measured_roster(file: Path | None, daemon: DaemonOptions) -> tuple[Roster, Answers]:
@@ -348,10 +358,10 @@ def _understood() -> Iterator[None]:
         raise CommandError(Exit.FAILED, problem, remedy) from exc
 
 
-def show_answers(answers: Answers) -> None:
+def show_answers(answers: Answers, families: Families) -> None:
     """Write which drives and codes differ from their manual."""
     rows = [
-        (drive, f"{row['code']} written" if row["write"] else row["code"],
+        (drive, shown_code(families.get(drive), row["code"]) + (" written" if row["write"] else ""),
          _time(row["manual_s"]), _time(row["measured_s"]))
         for drive, of_drive in answers.items()
         for row in of_drive
@@ -374,7 +384,7 @@ def show_unheld(unheld: Sequence[InfeasibleWatchdog]) -> None:
         click.echo(f"\n{one.drive}: {one.what}; {one.right}")
 
 
-def show_live(live: LivePlan) -> None:
+def show_live(live: LivePlan, families: Families) -> None:
     """Write it for people."""
     slack = "" if live.slack_s is None else f"; least slack {_time(live.slack_s)}"
     click.echo(
@@ -390,7 +400,7 @@ def show_live(live: LivePlan) -> None:
         )
     _show_classes(live)
     _show_drives(live)
-    _show_codes(live)
+    _show_codes(live, families)
     click.echo()
     if not live.beyond:
         click.echo("nothing is beyond what was promised")
@@ -425,12 +435,13 @@ def _show_drives(live: LivePlan) -> None:
     )  # fmt: skip
 
 
-def _show_codes(live: LivePlan) -> None:
+def _show_codes(live: LivePlan, families: Families) -> None:
     show_table(
         ("drive", "code", "asked every", "promised", "loaded", "longest gap", ""),
         [
-            (one.drive, one.code, format_duration(one.asked_s), _time(one.promised_s),
-             _time(one.loaded_s), _time(one.longest_s), one.verdict)
+            (one.drive, shown_code(families.get(one.drive), one.code),
+             format_duration(one.asked_s), _time(one.promised_s), _time(one.loaded_s),
+             _time(one.longest_s), one.verdict)
             for one in live.codes
         ],
         title="cyclic reads",

@@ -106,7 +106,7 @@ class LastEnable:
     """
 
     at: PlainText
-    address: Annotated[int, Field(ge=1, le=99)]
+    address: Count
     family: PlainText
     outcome: PlainText
     taken_back: bool
