@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from lecombus.cli import main
+from lecombus.cli import fleet_stop, main
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.fleet import Changes, names_in
 from lecombus.cli.fleet_broker import OPTIONS, BrokerOptions, broker_of
 from lecombus.cli.fleet_screen import FleetScreen, drives_text, headline, left_out, rows_of
-from lecombus.cli.fleet_stop import show_stops, stops_json
+from lecombus.cli.fleet_stop import say_if_not_confirmed, show_stops, stops_json
 from lecombus.fleet.lines import FleetLines, LineView
 from lecombus.fleet.stopping import StopResult, result_of
 
@@ -280,15 +280,28 @@ def test_a_line_of_which_one_drive_is_in_doubt_is_not_stopped(
     good = result_of("lecombus/a", (ANSWER % ("verified", "verified")).encode())
     # Whatever the whole says: each drive counts.
     bad = result_of("lecombus/b", (ANSWER % ("verified", "unknown")).encode())
-    show_stops([good, bad], "quick-stop")
+    say_if_not_confirmed([good, bad], "quick-stop")
+    show_stops([good, bad])
     said = capsys.readouterr()
     assert said.err.startswith("1 of 2 lines did not confirm the quick stop of every drive")
     assert [row.split("\t")[:4] for row in said.out.splitlines()] == [
         ["a", "feeder", "C0135", "verified"], ["a", "belt", "C0135", "verified"],
         ["b", "feeder", "C0135", "verified"], ["b", "belt", "C0135", "unknown"],
     ]  # fmt: skip
-    show_stops([good], "quick-stop")
+    say_if_not_confirmed([good], "quick-stop")
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("more", [[], ["--json"]])
+def test_a_stop_that_is_not_confirmed_is_said_on_standard_error(
+    more: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bad = result_of("lecombus/b", (ANSWER % ("verified", "unknown")).encode())
+    monkeypatch.setattr(fleet_stop, "send", lambda *args, **named: [bad])
+    assert main(["fleet", "--broker", "mqtt://127.0.0.1:1", "stop", "b", *more]) == Exit.FAILED
+    said = capsys.readouterr()
+    assert said.err.startswith("1 of 1 line did not confirm the quick stop of every drive")
+    assert '"stops": [' in said.out or not more
 
 
 def test_answers_are_printed_as_they_came() -> None:

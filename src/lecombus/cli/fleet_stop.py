@@ -87,10 +87,11 @@ def stop_command(
         if not as_json:
             alarm(f"no drive has confirmed the {spoken(action)}: motors may still turn")
         raise
+    say_if_not_confirmed(results, action)
     if as_json:
         click.echo(stops_json(results, target, action))
     else:
-        show_stops(results, action)
+        show_stops(results)
     if all(is_done(one) for one in results):
         return Exit.DONE
     failed = [one for one in results if not is_done(one)]
@@ -189,8 +190,8 @@ def is_done(result: StopResult) -> bool:
     return all(one.get("outcome") in ("done", "verified") for one in members_of(result.answer))
 
 
-def show_stops(results: Sequence[StopResult], action: str) -> None:
-    """Print how the stops ended; first of all, on standard error, that some are not confirmed."""
+def say_if_not_confirmed(results: Sequence[StopResult], action: str) -> None:
+    """Say on standard error, before all else, that some stops are not confirmed."""
     doubtful = sum(not is_done(one) for one in results)
     if doubtful:
         lines = "line" if len(results) == 1 else "lines"
@@ -198,6 +199,10 @@ def show_stops(results: Sequence[StopResult], action: str) -> None:
             f"{doubtful} of {len(results)} {lines} did not confirm the {spoken(action)} of every "
             "drive: motors may still turn"
         )
+
+
+def show_stops(results: Sequence[StopResult]) -> None:
+    """Print how the stops ended."""
     rows: list[tuple[str, ...]] = []
     for one in results:
         name = one.root.rpartition("/")[2]
