@@ -45,6 +45,14 @@ def test_a_remark_names_a_code_as_at_the_keypad() -> None:
     assert found.remarks == ("P502 (drive ID) is 1 and 2",)
 
 
+def test_digits_for_a_word_are_remarked() -> None:
+    found = compare(backup_of("820x", {"C0135": "0208"}), backup_of("820x", {"C0135": "H0208"}))
+    (remark,) = found.remarks
+    assert "C0135: 0208 " in remark
+    assert "H0208" in remark
+    assert "H00D0" in remark
+
+
 def test_a_difference_says_what_both_values_mean() -> None:
     found = compare(backup_of(DRIVE, BASE), backup_of(DRIVE, {**BASE, "C2001": "0", "C0001": "0"}))
     (first, second) = found.differences

@@ -14,6 +14,7 @@ from lecombus.drives import Family
 from lecombus.parameters import Code
 
 from .backup_file import Backup, BackupEntry, Section, is_own, meaning_of, section_of
+from .restore_plan import digits_for_a_word
 
 __all__ = ["Comparison", "Difference", "compare"]
 
@@ -124,13 +125,16 @@ def difference(one: Backup, other: Backup, code: Code) -> Difference:
 
 
 def remarks(one: Backup, other: Backup) -> list[str]:
-    """Say what is different about the drives themselves."""
+    """Say what is different about the drives themselves, and what a file does not say clearly."""
     said = []
     if one.family is not other.family:
         said.append(
             f"different families, {one.family.name} and {other.family.name}: "
             "the same code may mean something else"
         )
+    for backup in (one, other):
+        for entry in backup.entries.values():
+            said += digits_for_a_word(backup.family, entry)
     for code in sorted({*one.family.identity, *other.family.identity}):
         first, second = one.entries.get(code), other.entries.get(code)
         if first is None or second is None or first.value is None or second.value is None:
