@@ -177,7 +177,9 @@ class DriveEntry(_Model):
         watchdog: What its watchdog shall be; None: not looked after.
         cyclic: What is read all the time; the family's status set unless the roster says.
         writable: What may be written: the roster's `writable`, else the family's set, and
-            `also_writable`.
+            `also_writable`; without `owned`.
+        owned: What lecombus itself sets from the roster, so that no client writes it: the codes of
+            its watchdog, where the roster says `configure`.
         unchecked: What is written without asking whether its manual allows the value.
         restore: Whether a backup may be restored into it, beyond what `writable` lists.
         answer_time_s: Its processing time where it differs from its family's; None: the family's.
@@ -197,6 +199,7 @@ class DriveEntry(_Model):
     watchdog: WatchdogEntry | None = None
     cyclic: tuple[CyclicEntry, ...]
     writable: frozenset[Code]
+    owned: frozenset[Code] = frozenset()
     unchecked: frozenset[Code] = frozenset()
     restore: bool = False
     answer_time_s: float | None = None

@@ -500,7 +500,7 @@ def test_status_says_of_each_drive_whether_it_runs_how_fast_and_what_stops_it(
         ["running", "35.4 Hz", "40 Hz, 3 min ago"],
         ["stopped: trip OH (50)", "", ""],
         ["stopping: quick stop", "not 0", ""],
-        ["stopped: inhibited, 12.0 s ago", "0", ""],
+        ["stopped: inhibited, as known 12.0 s ago", "0", ""],
     ]
 
 

@@ -116,6 +116,19 @@ def test_a_verb_that_was_not_done_says_what_was_seen(run: Run, daemon: DaemonStu
     assert ran.out == f"feeder\tenable\trefused\tinhibited\t\t{why}\n"
 
 
+def test_what_a_daemon_that_was_ended_had_begun_is_named(run: Run, daemon: DaemonStub) -> None:
+    """After a restart it knows the key of the request, and neither drive nor verb."""
+    problem = '{"outcome": "unknown", "detail": "lecombus ended this", "remedy": "look at it"}'
+    daemon.answers[PATH + "enable"] = (504, problem)
+    said = "feeder may have taken the enable, and its motor may turn; `lecombus status feeder`"
+    ran = run("enable", "feeder")
+    assert ran.err.startswith(said)
+    assert ran.status == 1
+    assert run("enable", "feeder", "--json").err == ""
+    daemon.answers[PATH + "enable"] = (504, problem.replace("{", '{"drive": "feeder", ', 1))
+    assert run("enable", "feeder").err == ""
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -160,6 +160,36 @@ def test_a_refusal_says_what_may_be_written(writable: str, golden: Golden) -> No
     with_plant(test, roster_text(AB, drive=f"cyclic: []{writable}"))
 
 
+@pytest.mark.parametrize(
+    ("kind", "code", "named"), [("8200vector", 1922, "C1922"), ("smvector", 1426, "P426")]
+)
+def test_what_the_roster_sets_of_a_watchdog_is_written_by_no_client(
+    kind: str, code: int, named: str
+) -> None:
+    """A watchdog that a client switches off would stop nobody until it is read again."""
+
+    async def test(plant: Plant) -> None:
+        await plant.online()
+        operations = plant.site.operations
+        with pytest.raises(OperationError) as caught:
+            await operations.write("a", Code(code), 0)
+        assert caught.value.kind == "not-writable"
+        assert str(caught.value).startswith(f"{named} of a is set by lecombus")
+        assert "change `watchdog` of this drive in the roster" in caught.value.remedy
+        with pytest.raises(OperationError) as caught:
+            await operations.write_group("all", Code(code), 0)
+        assert caught.value.kind == "not-writable"
+
+    async def compared_only(plant: Plant) -> None:
+        await plant.online()
+        assert (await plant.site.operations.write("a", Code(code), 0)).outcome is Outcome.DONE
+
+    watchdog = "{time: 2s, action: quick-stop, configure: %s}"
+    for configure, run in (("true", test), ("false", compared_only)):
+        drive = f"also_writable: [C{code}]"
+        with_plant(run, roster_text([("a", 11, kind)], drive=drive, watchdog=watchdog % configure))
+
+
 def test_what_is_also_writable_takes_nothing_away() -> None:
     async def test(plant: Plant) -> None:
         await plant.online()

@@ -501,9 +501,8 @@ def test_a_failed_enable_is_remembered_when_the_daemon_restarts() -> None:
         await plant.online()
         why = await plant.site.operations.why("vector", fresh=True)
         assert why.last_enable == state.drive("vector").last_enable
-        assert "was taken back: " in next(
-            one.text.en for one in why.findings if one.name == "enable-taken-back"
-        )
+        assert why.findings[0].name == "enable-taken-back", "no stop came since"
+        assert "was taken back: " in why.answer.en
         plant.line["vector"].model.set_terminal(high=True)
         assert (await enable(plant, "vector")).outcome is Outcome.VERIFIED
         assert (await plant.site.operations.why("vector")).last_enable is None
@@ -522,6 +521,19 @@ def test_a_failed_enable_is_remembered_when_the_daemon_restarts() -> None:
     other = State.parse(kept)
     other.drive("vector").identity = dict.fromkeys(other.drive("vector").identity, "another")
     with_plant(replaced, roster, state=other)
+
+    async def stopped(plant: Plant) -> None:
+        await plant.online()
+        await plant.site.operations.stop(StopAction.QUICK_STOP, "vector")
+
+    async def restarted_again(plant: Plant) -> None:
+        await plant.online()
+        why = await plant.site.operations.why("vector", fresh=True)
+        assert "enable-taken-back" in names(why)[1:], "the stop is what keeps it still"
+
+    state = State.parse(kept)
+    with_plant(stopped, roster, state=state)
+    with_plant(restarted_again, roster, state=State.parse(state.text().encode()))
     moved = roster_text([("vector", 17, "8200vector")])
 
     async def elsewhere(plant: Plant) -> None:
@@ -577,6 +589,22 @@ def test_a_quick_stop_of_the_watchdog_that_no_word_shows_is_the_answer_until_an_
     chosen = [one for one in FAMILIES if one[0] == drive]
     watchdog = "{time: 2s, action: quick-stop, configure: true}"
     with_plant(main, roster_text(chosen, watchdog=watchdog), word_as_written=True)
+
+
+def test_a_watchdog_that_inhibits_sets_no_quick_stop_that_no_word_shows() -> None:
+    async def main(plant: Plant) -> None:
+        await plant.online(within_s=60.0)
+        assert (await enable(plant, "vector")).outcome is Outcome.VERIFIED
+        plant.end.unplug()
+        await anyio.sleep(4.0)
+        plant.end.replug()
+        await plant.online(within_s=60.0)
+        why = await plant.site.operations.why("vector", fresh=True)
+        (lapse,) = [one for one in why.findings if one.name == "watchdog-lapsed"]
+        assert "no status word of this family shows one" not in lapse.text.en
+
+    chosen = [one for one in FAMILIES if one[0] == "vector"]
+    with_plant(main, roster_text(chosen, watchdog="{time: 2s, action: inhibit, configure: true}"))
 
 
 @pytest.mark.parametrize(("drive", "unseen"), [("vector", True), ("servo", True), ("belt", False)])

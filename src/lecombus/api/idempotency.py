@@ -80,7 +80,7 @@ TRY_LATER: Final = frozenset((CLIENT_GONE, 429, 503))
 OPEN_END: Final = ProblemDocument(
     "unknown",
     "lecombus ended this, or itself, while it was under way: whether it was done is not known",
-    remedy="look at the drive, then ask for it again with a new key",
+    remedy="look at the drive, then ask for it again; over HTTP with a new Idempotency-Key",
     outcome=Outcome.UNKNOWN.value,
 )
 

@@ -98,17 +98,27 @@ def act(
         method: The method of the request.
         path: Its path.
         document: Its body.
-        unsure: What may have happened all the same when Ctrl-C ends the wait for the answer.
+        unsure: What may have happened all the same when Ctrl-C ends the wait for the answer, or
+            the daemon was ended while it was under way.
 
     Raises:
         CommandError: The daemon cannot be reached, or says no without an outcome.
     """
     try:
-        return work(daemon, lambda line: line.act(method, path, document))
+        answer = work(daemon, lambda line: line.act(method, path, document))
     except KeyboardInterrupt:
         if unsure and not daemon.as_json:
             click.echo(f"interrupted: {unsure}", err=True)
         raise
+    if unsure and not daemon.as_json and _names_nothing(answer.data):
+        click.echo(unsure, err=True)
+    return answer
+
+
+def _names_nothing(report: Mapping[str, Json]) -> bool:
+    """Whether it is the answer for what a daemon that was ended had begun: it knows no more."""
+    is_unknown = report.get("outcome") == "unknown"
+    return is_unknown and report.keys().isdisjoint(("drive", "group", "members"))
 
 
 def refuse_problem(answer: Answer) -> None:

@@ -42,7 +42,7 @@ def status_command(drive: str | None, daemon: DaemonOptions) -> int:
     unit, quality, age, reason; quality `once`: not asked for again). With --json: {"line": ..,
     "drives": ..}, the daemon's documents, or with DRIVE the drive's document.
     """
-    if drive:
+    if drive is not None:
         show(ask(daemon, drive_path(drive)), _show_drive, as_json=daemon.as_json)
         return Exit.DONE
     line, drives = work(daemon, _line_and_drives)
@@ -94,7 +94,7 @@ def _motor(motion: Document) -> str:
     doing = table_text(motion.get("doing"))
     stops = [table_text(one.get("text")).partition(": ")[0] for one in motion.get("stops") or ()]
     text = f"{doing}: {', '.join(stops)}" if stops else doing
-    return f"{text}, {age(motion.get('age_s'))} ago" if motion.get("stale") else text
+    return f"{text}, as known {age(motion.get('age_s'))} ago" if motion.get("stale") else text
 
 
 def _actual(motion: Document) -> str:

@@ -132,14 +132,19 @@ def _drive(entry: Fields, lease: LeaseEntry) -> DriveEntry:
         for code, every_s in of.status
         if any(form.carries(code) for form in forms)
     ]
-    writable: Items | None = entry.get("writable")
+    given: Items | None = entry.get("writable")
+    writable = of.writable if given is None else _set(given)
+    watchdog: Fields | None = entry.get("watchdog")
+    owned: frozenset[Code] = frozenset()
+    if watchdog is not None and watchdog.get("configure", False) and of.watchdog is not None:
+        owned = frozenset((of.watchdog.time_code, of.watchdog.action_code))
     return DriveEntry(
         **_fields(entry, without=_COMPLETED),
         forms=forms,
         cyclic=tuple(status if cyclic is None
                      else [CyclicEntry(**_fields(item.value)) for item in cyclic]),
-        writable=(of.writable if writable is None else _set(writable))
-        | _set(entry.get("also_writable", ())),
+        writable=(writable | _set(entry.get("also_writable", ()))) - owned,
+        owned=owned,
         lease=_lease(entry.get("lease"), lease),
     )  # fmt: skip
 

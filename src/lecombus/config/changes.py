@@ -30,7 +30,7 @@ __all__ = [
 FIXED: Final = ("line", "api", "journal", "state")
 """The parts of a roster that only a restart changes."""
 
-_WITHOUT_KEY: Final = ("slow",)
+_WITHOUT_KEY: Final = ("owned", "slow")
 """Fields that no key gives; nor does one give the `file` of the roster itself."""
 
 _KEY_OF: Final[Mapping[str, str]] = {field: key for key, field in RENAMED.items()}

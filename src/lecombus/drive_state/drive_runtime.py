@@ -248,12 +248,9 @@ class EnableRecord:
     """What became of the drive's last enable (`operations.why`).
 
     Args:
-        stops_then: How often the drive was to stop when its last enable failed; None: that was not
-            since the daemon started.
         lapses_then: How often its watchdog had run out when it was last enabled.
     """
 
-    stops_then: int | None = None
     lapses_then: int = 0
 
 

@@ -75,7 +75,7 @@ class OperationContext:
         self.diagnosis = NakDiagnosis(requests, store, clock)
         self.why = StandstillDiagnosis(requests, store, state, clock)
         self.kinds = WriteKinds(requests.drives, store, self.drive_names)
-        self.stop_marks = StopMarks(requests, clock)
+        self.stop_marks = StopMarks(requests, self.why.stopped, clock)
         self.shown_stops = ShownStops(requests, store, self.leases, self.kinds)
         self.leases.held_stops = self.shown_stops.held
         self.leases.is_silenced = requests.is_silenced

@@ -314,24 +314,18 @@ def latch_finding(remark: str) -> StandstillFinding:
     return StandstillFinding("latched", Weight.REASON, text, remedy)
 
 
-def enable_finding(last: LastEnable, *, stopped_since: bool) -> StandstillFinding:
-    """Say that the last enable was refused or taken back, and why.
-
-    Args:
-        last: That enable.
-        stopped_since: The drive was stopped on purpose after it: what keeps it from turning now is
-            that stop.
-    """
+def enable_finding(last: LastEnable) -> StandstillFinding:
+    """Say that the last enable was refused or taken back, and why."""
     en, de = ("taken back", "zurückgenommen") if last.taken_back else ("refused", "abgelehnt")
     if not last.taken_back and last.outcome != "refused":
-        en, de = "not brought to its end", "nicht zu Ende geführt"
+        en, de = "of unknown outcome", "ohne bekanntes Ergebnis"
     why = "; ".join(filter(None, (last.reason, last.cause)))
     text = Text(
         f"the last enable, at {last.at}, was {en}: {why}",
         f"die letzte Freigabe, um {last.at}, wurde {de}: {why}",
     )
-    # A setting that is still in the way is a separate reason.
-    weight = Weight.REASON if last.by_drive and not stopped_since else Weight.HINT
+    # A setting that is still in the way is a separate reason, and so is a stop that came since.
+    weight = Weight.REASON if last.by_drive and not last.stopped_since else Weight.HINT
     name = "enable-taken-back" if last.taken_back else "enable-refused"
     verb = Verb.ENABLE if last.taken_back else None
     return StandstillFinding(name, weight, text, Text(last.remedy, last.remedy), verb=verb)

@@ -195,7 +195,8 @@ class Permissions:
         Raises:
             OperationError: `not-writable`.
         """
-        writable = self._entry(drive).writable
+        entry = self._entry(drive)
+        writable = entry.writable
         if code in writable:
             return
         family = self._requests.station(drive).family
@@ -206,6 +207,9 @@ class Permissions:
         if info is not None and not info.writable:
             text = f"{named} of {drive} is read only: {info.name}"
             remedy = f"`lecombus describe {family.name}` lists what can be written"
+        elif code in entry.owned:
+            text = f"{named} of {drive} is set by lecombus, as `watchdog` of the roster says"
+            remedy = "change `watchdog` of this drive in the roster and reload it"
         raise OperationError(text, kind="not-writable", drive=drive, code=str(code), remedy=remedy)
 
     def check_verb(self, drive: str, verb: Verb, codes: Iterable[Code]) -> None:
@@ -287,10 +291,6 @@ def rights_of(entry: DriveEntry, family: Family, locked: str | None) -> RestoreR
         family: Its family.
         locked: Why nothing at all is written to it; None where something is.
     """
-    owned: tuple[Code, ...] = ()
-    traits = family.watchdog
-    if entry.watchdog is not None and entry.watchdog.configure and traits is not None:
-        owned = (traits.action_code, traits.time_code)
     reason, remedy = "", ""
     if not entry.restore:
         reason = f"the roster does not let {entry.name} be restored"
@@ -298,7 +298,7 @@ def rights_of(entry: DriveEntry, family: Family, locked: str | None) -> RestoreR
     elif locked is not None:
         reason = f"nothing is written to {entry.name}: {locked}"
         remedy = "see `lecombus status`"
-    return RestoreRights(entry.name, not reason, owned, reason, remedy)
+    return RestoreRights(entry.name, not reason, tuple(entry.owned), reason, remedy)
 
 
 def check_restored(

@@ -47,11 +47,15 @@ class StopMarks:
 
     Args:
         requests: Knows the drives.
+        stopped: Told of each stop: the drive's name.
         clock: Monotonic time, seconds.
     """
 
-    def __init__(self, requests: Requests, clock: Callable[[], float]) -> None:
+    def __init__(
+        self, requests: Requests, stopped: Callable[[str], None], clock: Callable[[], float]
+    ) -> None:
         self._requests = requests
+        self._stopped = stopped
         self._clock = clock
         self._run = secrets.token_hex(4)
 
@@ -65,6 +69,7 @@ class StopMarks:
         if asks_to_stop(station.family, code, wire):
             lasting.stop_written_at_s, lasting.stop_write_done = self._clock(), None
             lasting.count_stop()
+            self._stopped(station.name)
             lasting.stop_writes += drive is None or not drive.control_word.repeats(code, wire)
         elif drive is not None and drive.control_word.moves(code):
             lasting.lifts += 1
@@ -72,6 +77,7 @@ class StopMarks:
     def note_stop(self, drive: str) -> None:
         """Count a stop of a drive; writes and verbs under way end behind it."""
         self._requests.drives.lasting(drive).count_stop()
+        self._stopped(drive)
         self._requests.note_stop(drive)
 
     def mark(self, drive: str) -> str:

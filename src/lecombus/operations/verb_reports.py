@@ -75,8 +75,8 @@ def cut_off(run: Run, exc: Exception) -> WriteReport:
         name, None, Outcome.UNKNOWN,
         f"{run.verb} was begun and not brought to its end: {exc}",
         kind="line-lost" if isinstance(exc, LineError) else "no-answer",
-        remedy=f"what was written stands; `lecombus status {name}` says what the drive shows. Take "
-        "it for one that may start",
+        remedy=f"what was written before stands; `lecombus status {name}` says what the drive "
+        "shows. Take it for one that may start",
     )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ the few codes that matter are read first.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 from lecombus.drive_state.motion import overtaken_commands
@@ -26,7 +27,7 @@ from lecombus.drive_state.readings import (
     rfc3339,
 )
 from lecombus.drive_state.store import Store
-from lecombus.drives import Family, Verb
+from lecombus.drives import Family, StopAction, Verb
 from lecombus.drives.faults.fault_tables import NO_FAULT
 from lecombus.drives.faults.reasons import Weight, asked_codes, holding
 from lecombus.drives.verb_facts import Known
@@ -123,11 +124,17 @@ class StandstillDiagnosis:
         )
         self._remember(report, taken_back=False, by_drive=False)
 
+    def stopped(self, drive: str) -> None:
+        """Note that a drive is stopped on purpose: a failed enable is not what keeps it still."""
+        facts = self._state.drive(drive)
+        if facts.last_enable is not None and not facts.last_enable.stopped_since:
+            facts.last_enable = replace(facts.last_enable, stopped_since=True)
+            self._state.touch()
+
     def _remember(self, report: VerbReport, *, taken_back: bool, by_drive: bool) -> None:
         drive = self._drives.find(report.drive)
         if drive is None:
             return  # it has left the roster
-        drive.enable.stops_then = drive.lasting.stops_and_writes
         remedy = TAKEN_BACK_REMEDY if taken_back else report.remedy
         entry = drive.entry
         self._state.drive(drive.name).last_enable = LastEnable(
@@ -169,9 +176,7 @@ class StandstillDiagnosis:
         last_enable = self._last_enable(drive, values)
         findings = self._own(info)
         if last_enable is not None:
-            found = self._drives.get(drive)
-            stopped_since = found.lasting.stops_and_writes != found.enable.stops_then
-            findings.append(enable_finding(last_enable, stopped_since=stopped_since))
+            findings.append(enable_finding(last_enable))
         absent = self._absent(drive, family)
         known = {code: one.value for code, one in values.items() if one.value is not None}
         findings += [
@@ -301,9 +306,18 @@ class StandstillDiagnosis:
         lapses = self._lapses(info.name)
         if lapses and not self._is_silenced(info.name):
             since = lapses > self._drives.get(info.name).enable.lapses_then
-            seen = status_shows_quick_stop(self._store.family(info.name))
-            found.append(lapse_finding(lapses, unseen=since and not seen))
+            unseen = since and self._may_quick_stop_unseen(info.name)
+            found.append(lapse_finding(lapses, unseen=unseen))
         return found
+
+    def _may_quick_stop_unseen(self, drive: str) -> bool:
+        """Whether its watchdog may have set a quick stop that no status word of it shows."""
+        found, family = self._drives.get(drive), self._store.family(drive)
+        if family.watchdog is None or status_shows_quick_stop(family):
+            return False
+        setting = found.audit.watchdog
+        action = None if setting is None else family.watchdog.action_of(setting.action)
+        return action in (None, StopAction.QUICK_STOP)
 
     def _with_permission(self, drive: str, finding: StandstillFinding) -> StandstillFinding:
         """Say also what the roster must open first for the verb that a finding advises."""

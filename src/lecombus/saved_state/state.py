@@ -103,6 +103,7 @@ class LastEnable:
         cause: Why, probably.
         remedy: What to do.
         by_drive: The drive refused or ignored it; else a setting kept it from being sent.
+        stopped_since: The drive was stopped on purpose after it.
     """
 
     at: PlainText
@@ -114,6 +115,7 @@ class LastEnable:
     cause: PlainText
     remedy: PlainText
     by_drive: bool
+    stopped_since: bool = False
 
     def as_json(self) -> dict[str, Json]:
         """Return the JSON form."""
