@@ -591,6 +591,30 @@ def test_a_quick_stop_of_the_watchdog_that_no_word_shows_is_the_answer_until_an_
     with_plant(main, roster_text(chosen, watchdog=watchdog), word_as_written=True)
 
 
+def test_a_drive_that_runs_is_held_by_no_quick_stop_that_no_word_shows() -> None:
+    """Its answers were lost, so its watchdog seemed to lapse; it heard every request."""
+
+    async def main(plant: Plant) -> None:
+        await plant.online(within_s=60.0)
+        await run_motor(plant, "vector")
+        assert (await enable(plant, "vector")).outcome is Outcome.VERIFIED
+        plant.line.faults.lost = 1.0
+        await anyio.sleep(2.6)
+        plant.line.faults.lost = 0.0
+        await plant.online(within_s=60.0)
+        await anyio.sleep(12.0)
+        assert plant.line["vector"].watchdog_fired == 0
+        assert plant.site.store.motion("vector").doing is Doing.RUNNING
+        why = await plant.site.operations.why("vector", fresh=True)
+        (lapse,) = [one for one in why.findings if one.name == "watchdog-lapsed"]
+        assert "no status word of this family shows one" not in lapse.text.en
+
+    chosen = [one for one in FAMILIES if one[0] == "vector"]
+    with_plant(
+        main, roster_text(chosen, watchdog="{time: 2s, action: quick-stop, configure: true}")
+    )
+
+
 def test_a_watchdog_that_inhibits_sets_no_quick_stop_that_no_word_shows() -> None:
     async def main(plant: Plant) -> None:
         await plant.online(within_s=60.0)

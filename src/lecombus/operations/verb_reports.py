@@ -10,7 +10,12 @@ from dataclasses import dataclass, field
 from lecombus.drive_state.readings import Reading
 from lecombus.drives import OperatingState, StopAction, Verb
 from lecombus.drives.verb_facts import Known, rules_of
-from lecombus.drives.verbs import fault_number, has_fault, shown_stops
+from lecombus.drives.verbs import (
+    fault_number,
+    has_fault,
+    shown_stops,
+    status_shows_quick_stop,
+)
 from lecombus.errors import LineError
 from lecombus.fieldbus.requests import Station
 from lecombus.operations.operation_reports import Proof, VerbReport, WriteReport
@@ -106,6 +111,8 @@ def enabled(known: Known) -> WriteReport:
     code = next(code for code in rules.enable.proofs if code in known.values)
     proof = Proof(code, known.values[code].raw, "enabled")
     text = f"{known.family.spoken(code)} reads {proof.raw}"
+    if not status_shows_quick_stop(known.configured):
+        text += "; a quick stop at a terminal would not show in it"
     return WriteReport(known.drive, None, Outcome.VERIFIED, text, proof=proof)
 
 

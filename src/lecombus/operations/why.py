@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
-from lecombus.drive_state.motion import overtaken_commands
+from lecombus.drive_state.motion import Doing, overtaken_commands
 from lecombus.drive_state.readings import (
     NO_SUCH_CODE,
     WRITE_LOCKS,
@@ -317,7 +317,9 @@ class StandstillDiagnosis:
             return False
         setting = found.audit.watchdog
         action = None if setting is None else family.watchdog.action_of(setting.action)
-        return action in (None, StopAction.QUICK_STOP)
+        if action not in (None, StopAction.QUICK_STOP):
+            return False
+        return self._store.motion(drive).doing is not Doing.RUNNING
 
     def _with_permission(self, drive: str, finding: StandstillFinding) -> StandstillFinding:
         """Say also what the roster must open first for the verb that a finding advises."""
