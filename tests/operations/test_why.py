@@ -12,7 +12,7 @@ import pytest
 from lecombus.drive_state.motion import Doing
 from lecombus.drive_state.readings import DriveState
 from lecombus.drives import FAMILY_NAMES, Language, StopAction, Verb, family
-from lecombus.drives.faults.reasons import Reason, Weight, asked_codes, reasons
+from lecombus.drives.faults.reasons import Reason, Weight, asked_codes, holding, reasons
 from lecombus.errors import DescriptionError, OperationError
 from lecombus.fieldbus.lecom.protocol.controls import STX
 from lecombus.operations.findings import WhyReport, lapse_finding
@@ -487,6 +487,13 @@ def test_an_enable_that_a_stop_ended_is_no_refusal() -> None:
         assert (await plant.site.operations.why("vector", fresh=True)).last_enable is None
 
     at("vector", test)
+
+
+def test_an_operating_mode_that_was_not_read_is_not_called_wrong() -> None:
+    """Every 82XX has C0001: a drive whose addressing was moved answers as if it had not."""
+    assert not holding("8200vector", frozenset(), {}, {Code(1)})
+    (found,) = holding("8200vector", frozenset(), {Code(1): Value.decimal(0)})
+    assert found.name == "operating-mode"
 
 
 def test_a_failed_enable_is_remembered_when_the_daemon_restarts() -> None:
