@@ -318,7 +318,7 @@ def enable_finding(last: LastEnable) -> StandstillFinding:
     """Say that the last enable was refused or taken back, and why."""
     en, de = ("taken back", "zurückgenommen") if last.taken_back else ("refused", "abgelehnt")
     if not last.taken_back and last.outcome != "refused":
-        en, de = "of unknown outcome", "ohne bekanntes Ergebnis"
+        en, de = "of unknown outcome", "mit unbekanntem Ergebnis beendet"
     why = "; ".join(filter(None, (last.reason, last.cause)))
     text = Text(
         f"the last enable, at {last.at}, was {en}: {why}",
