@@ -284,11 +284,7 @@ def test_commands_of_a_drive_keep_their_order_and_their_time() -> None:
         ]  # fmt: skip
         await anyio.sleep(9)
         writes = [one for one in bench.daemon.requests if one[0] == "PUT"]
-        assert [one[2]["value"] for one in writes] == [
-            "0",
-            "1",
-            "2",
-        ]  # the fourth was over after 5 s
+        assert [one[2]["value"] for one in writes] == ["0", "1", "2"], "the fourth was over"
         assert [round(float(one[3]["lecombus-asked"])) for one in writes] == [0, 2, 4]
         assert sorted(bench.outcomes) == ["done"] * 4 + ["expired"]
 
