@@ -138,7 +138,6 @@ def test_a_lapse_that_does_not_stop_or_lets_a_load_go_is_said_though_no_lease_is
         ("93xx", "[C0040, C0043, C0135]", "set-speed (C0141)"),
         ("smvector", "[C0040, C0043, C0135]", "set-speed (C1061)"),
         ("generic", "[C0012]", ""),
-        ("8200vector", "[]", ""),
     ],
 )
 def test_a_list_that_takes_verbs_away_is_told_with_the_codes_they_need(
@@ -154,6 +153,18 @@ def test_a_list_that_takes_verbs_away_is_told_with_the_codes_they_need(
     if told:
         golden(*told)
     assert not any("leaves out" in text for text in warned(drive_with(family=family)))
+
+
+@pytest.mark.parametrize(("family", "told"), [("8200vector", True), ("generic", False)])
+def test_an_empty_list_is_told_to_refuse_verbs(family: str, told: bool, golden: Golden) -> None:
+    safe = SAFE if family != "generic" else "cyclic: []"
+    found = [
+        text for text in warned(drive_with(safe, "writable: []", family=family))
+        if "no code may be written" in text
+    ]  # fmt: skip
+    assert bool(found) is told
+    if told:
+        golden(*found)
 
 
 @pytest.mark.parametrize("family", ["8200vector", "smvector", "93xx"])

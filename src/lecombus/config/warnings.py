@@ -374,9 +374,16 @@ def _writable(drive: DriveEntry) -> Iterator[tuple[str, str]]:
 
 
 def _verbs(drive: DriveEntry) -> Iterator[tuple[str, str]]:
-    """Warn of a list that was meant to add a code and takes verbs away."""
+    """Warn of a list that takes verbs away, as one that was meant to add a code does."""
     rules = family(drive.family).verbs
-    if rules is None or not drive.writable:
+    if rules is None:
+        return
+    if not drive.writable:
+        yield (
+            drive.name,
+            f"no code may be written, so {', '.join(_WRITING)} are refused; stops are sent all the "
+            "same",
+        )
         return
     missing = {verb: rules.not_writable(verb, drive.writable) for verb in _WRITING}
     without = [
