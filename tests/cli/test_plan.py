@@ -188,6 +188,23 @@ def test_live_says_what_is_beyond_the_promise(daemon: DaemonStub, run: Run, rost
     assert {one["name"] for one in told["classes"]} >= {"stop", "background"}
 
 
+def test_live_names_a_code_of_an_smvector_as_its_keypad_does(
+    daemon: DaemonStub, run: Run, roster: Path
+) -> None:
+    cyclic = "cyclic: [{code: C1527, every: 1s}, {code: C0150, every: 1s}]"
+    roster.write_text(roster.read_text().replace("family: smvector", f"family: smvector, {cyclic}"))
+    found = document(roster)
+    minutes = RollingWindow(0.0)
+    minutes.expect("a", (Code(1527),))
+    for at_s in (1.0, 119.0):
+        minutes.value("a", Code(1527), at_s)
+    found["measured"] = json.loads(encode(minutes.as_json(120.0)))
+    daemon.answers["GET /v1/plan"] = (200, json.dumps(found))
+    assert "beyond the promise: P527 of a: seldomer than promised" in run("plan", "--live").out
+    told = json.loads(run("plan", "--live", "--json").out)
+    assert "C1527 of a: seldomer than promised" in told["beyond"]
+
+
 def test_from_daemon_plans_with_what_was_measured(
     daemon: DaemonStub, run: Run, roster: Path
 ) -> None:

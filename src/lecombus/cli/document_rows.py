@@ -88,8 +88,16 @@ def shown_code(family_name: object, code: object) -> str:
         family_name: The drive's family, as a document has it.
         code: The code.
     """
-    if not on_terminal():
-        return str(code)
+    return spoken_code(family_name, code) if on_terminal() else str(code)
+
+
+def spoken_code(family_name: object, code: object) -> str:
+    """Return a code as the drive's keypad names it, for sentences.
+
+    Args:
+        family_name: The drive's family, as a document has it.
+        code: The code.
+    """
     from lecombus.drives import family
     from lecombus.parameters import Code
 

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from lecombus.capacity.timeline import Preview, picture, preview
 from lecombus.capacity.watchdog_feasibility import InfeasibleWatchdog, find_infeasible, rounded_up
 from lecombus.cli.arguments import DaemonOptions, daemon_options
 from lecombus.cli.daemon_access import ask
-from lecombus.cli.document_rows import shown_code
+from lecombus.cli.document_rows import shown_code, spoken_code
 from lecombus.cli.exits import CommandError, Exit
 from lecombus.cli.screen import counted, show_table
 from lecombus.cli.whole_file import write_whole
@@ -402,9 +402,10 @@ def show_live(live: LivePlan, families: Families) -> None:
     _show_drives(live)
     _show_codes(live, families)
     click.echo()
-    if not live.beyond:
+    beyond = _spoken(live, families).beyond
+    if not beyond:
         click.echo("nothing is beyond what was promised")
-    for text in live.beyond:
+    for text in beyond:
         click.echo(f"beyond the promise: {text}")
 
 
@@ -446,6 +447,16 @@ def _show_codes(live: LivePlan, families: Families) -> None:
         ],
         title="cyclic reads",
     )  # fmt: skip
+
+
+def _spoken(live: LivePlan, families: Families) -> LivePlan:
+    """Give it with codes named as the drives' keypads do, for sentences."""
+    return replace(
+        live,
+        codes=tuple(
+            replace(one, code=spoken_code(families.get(one.drive), one.code)) for one in live.codes
+        ),
+    )
 
 
 def _time(seconds: float | None) -> str:
