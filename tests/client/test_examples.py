@@ -207,9 +207,12 @@ def test_ctrl_c_ends_an_example_in_silence(
         [sys.executable, EXAMPLES / name, *CALLS[name]], cwd=tmp_path, stderr=subprocess.PIPE,
         text=True, env=environment(LECOMBUS_SOCKET=str(daemon.socket)),
     ) as program:  # fmt: skip
-        until(works, f"{name} works", within_s=30.0)
-        program.send_signal(signal.SIGINT)
-        _, errors = program.communicate(timeout=30.0)
+        try:
+            until(works, f"{name} works", within_s=30.0)
+            program.send_signal(signal.SIGINT)
+            _, errors = program.communicate(timeout=30.0)
+        finally:
+            program.kill()
     assert (program.returncode, errors) == (130, "")
 
 
